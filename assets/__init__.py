@@ -1,0 +1,1 @@
+"""What torchbrdf brings along: a mesh, an environment, fitted materials."""

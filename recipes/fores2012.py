@@ -1,0 +1,84 @@
+"""The study of Fores, Ferwerda and Gu (2012): three models, three metrics, ten materials."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.measured import load_all, standins
+from torchbrdf.recipe import RECIPES, Recipe, RunFolder, versions
+from torchbrdf.render import Environment, Mesh, Scene, View, blob, sphere
+from torchbrdf.report import Study, write_report
+
+STANDINS = "stand-ins"
+GROVE = "grove"
+
+
+@RECIPES.register("fores2012")
+@dataclass(frozen=True)
+class Fores2012(Recipe):
+    """Fit, score, draw and report. Its defaults are the paper's, on the bundled stand-ins and the bundled light."""
+
+    name = "fores2012"
+
+    materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
+    models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
+    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
+    lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares"})
+    strategy: str = "staged"
+    diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit"})
+    max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
+    samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
+    environment: str = field(default=GROVE, metadata={"help": "an .exr or .hdr light probe; or grove"})
+    shape: str = field(default="blob", metadata={"help": "blob, sphere, or a mesh file"})
+    size: int = field(default=400, metadata={"help": "pixels of a side"})
+    turn: float = field(default=15.0, metadata={"help": "degrees between the reference's view and the fits'"})
+
+    def __post_init__(self) -> None:
+        for key in ("models", "losses"):
+            if not getattr(self, key):
+                raise UsageError(f"fores2012: {key}: expected at least one name, found none")
+        if self.lobes < 1:
+            raise UsageError(f"fores2012: lobes: expected at least 1, found {self.lobes}")
+        if not 16 <= self.size <= 4096:
+            raise UsageError(f"fores2012: size: expected 16 to 4096 pixels, found {self.size}")
+
+    def steps(self, folder: RunFolder) -> Path:
+        """Fits, pictures, report."""
+        mesh, environment = self._mesh(), self._light()
+        size = min(self.size, 96) if self.quick else self.size
+        scene, turned = (Scene(mesh, View(turn), environment, size=size) for turn in (0.0, self.turn))
+        bad: list[DataError] = []
+        groups = load_all(standins() if self.materials == STANDINS else self.materials, bad=bad)
+        if not groups:
+            raise bad[0] if bad else DataError(f"{self.materials}: no measured BRDFs")
+        samples = self.samples
+        if self.quick:
+            groups = [group.batch(range(min(2, len(group)))) for group in groups]
+            samples = min(self.samples or 4000, 4000)
+        study = Study(
+            folder=folder,
+            groups=groups,
+            models=self.models,
+            losses=self.losses,
+            lobes=(1, 2) if self.lobes == 1 else (self.lobes,),
+            strategy=self.strategy,
+            diffuse=self.diffuse,
+            max_theta=self.max_theta,
+            samples=samples,
+            seed=self.seed,
+        )
+        study.fit()
+        study.draw(scene, turned)
+        light = "Light: " + (
+            "the project's own grove." if self.environment == GROVE else Path(self.environment).name + "."
+        )
+        record = json.dumps({"recipe": self.name, "settings": asdict(self), "versions": versions()}, indent=1)
+        return write_report(study, "Which error metric looks right?", light, self.turn, record, [str(e) for e in bad])
+
+    def _mesh(self) -> Mesh:
+        made = {"blob": blob, "sphere": sphere}
+        return made[self.shape]() if self.shape in made else Mesh.load(self.shape)
+
+    def _light(self) -> Environment:
+        return Environment.default() if self.environment == GROVE else Environment.from_file(self.environment)

@@ -1,0 +1,28 @@
+"""What all tests share."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("torchbrdf", deadline=None)
+settings.load_profile("torchbrdf")
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of measured data, which is no part of the project."""
+    default = Path(__file__).resolve().parents[1] / ".." / "shared" / "data"
+    folder = Path(os.environ.get("TORCHBRDF_DATA", default)).resolve()
+    if not folder.is_dir():
+        pytest.skip(f"needs measured data: no folder {folder}; set TORCHBRDF_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A MERL table with made-up entries, 35 MB: `measured_files.made_up_raw(0)`."""
+    from measured_files import made_up_raw, write_raw_merl
+
+    return write_raw_merl(tmp_path_factory.mktemp("merl") / "made-up.binary", made_up_raw(0))

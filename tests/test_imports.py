@@ -1,0 +1,78 @@
+"""What importing costs, and that what is named is there."""
+
+import configparser
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import torchbrdf
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+def loaded(*statements: str) -> set[str]:
+    """The top-level modules in memory after some statements in a fresh interpreter."""
+    code = "; ".join([*statements, "import json, sys", "print(json.dumps(sorted(sys.modules)))"])
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return {name.split(".")[0] for name in json.loads(done.stdout)}
+
+
+def test_the_package_alone_costs_nothing() -> None:
+    extra = loaded("import torchbrdf") - loaded("pass") - set(sys.stdlib_module_names)
+    assert extra == {"torchbrdf"}
+
+
+def test_losses_cost_no_more_than_torch() -> None:
+    """Also when every loss is looked up by name."""
+    extra = loaded("from torchbrdf.losses import LOSSES", "list(LOSSES)") - loaded("import torch")
+    assert extra - set(sys.stdlib_module_names) == {"torchbrdf"}
+
+
+def test_losses_and_lobes_pull_in_nothing_heavy() -> None:
+    heavy = {"kornia", "matplotlib", "scipy", "pyrender", "trimesh", "OpenEXR", "PIL", "jinja2", "tqdm"}
+    extra = loaded("import torchbrdf.losses, torchbrdf.lobes") - loaded("import torch")
+    assert not extra & heavy
+
+
+@pytest.mark.parametrize("name", torchbrdf.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    thing = getattr(torchbrdf, name)
+    assert thing is getattr(importlib.import_module(f"torchbrdf.{torchbrdf._HOME[name]}"), name)
+
+
+def test_public_names_are_those_with_a_home() -> None:
+    assert sorted(torchbrdf._HOME) == torchbrdf.__all__
+    # Importing a room puts it into the package under its name, in the place of anything lazy.
+    assert not set(torchbrdf._HOME) & set(torchbrdf._HOME.values())
+    with pytest.raises(AttributeError, match=r"^module 'torchbrdf' has no attribute 'nothing'$"):
+        torchbrdf.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("module", ["assets", "recipes", "cli"])
+def test_the_installed_parts_are_importable(module: str) -> None:
+    importlib.import_module(f"torchbrdf.{module}")
+
+
+def test_setup_lists_every_package() -> None:
+    config = configparser.ConfigParser()
+    config.read(CHECKOUT / "setup.cfg")
+    listed = set(config["options"]["packages"].split())
+    found = {
+        ".".join(path.parent.relative_to(CHECKOUT).parts) for path in (CHECKOUT / "torchbrdf").rglob("__init__.py")
+    }
+    assert listed == found | {"torchbrdf.assets", "torchbrdf.recipes"}
+
+
+def test_constraints_pin_every_requirement() -> None:
+    config = configparser.ConfigParser()
+    config.read(CHECKOUT / "setup.cfg")
+    wanted = config["options"]["install_requires"] + config["options.extras_require"]["test"]
+    names = {line.split(">=")[0].lower() for line in wanted.split()}
+    lines = (CHECKOUT / "constraints.txt").read_text().splitlines()
+    pins = dict(line.lower().split("==") for line in lines if line and not line.startswith("#"))
+    assert names <= set(pins)
+    assert pins["torch"] == "2.13.0"

@@ -1,0 +1,219 @@
+"""Directions, cosines and half/difference angles."""
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from directions import from_half_diff, hemisphere
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from torchbrdf.errors import ShapeError
+from torchbrdf.pairs import Pairs
+
+QUANTITIES = ["cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo", "above"]
+
+quarter = st.floats(0, math.pi / 2)
+half_turn = st.floats(0, math.pi, exclude_max=True)
+turn = st.floats(-math.pi, math.pi)
+
+
+def half_diff(theta_h: float, theta_d: float, phi_d: float) -> Pairs:
+    return Pairs.from_half_diff(*(torch.tensor([x], dtype=torch.float64) for x in (theta_h, theta_d, phi_d)))
+
+
+def directions(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> Pairs:
+    wi, wo = from_half_diff(*(np.array([x]) for x in (theta_h, theta_d, phi_d, phi_h)))
+    return Pairs.from_directions(torch.from_numpy(wi), torch.from_numpy(wo))
+
+
+def random_pairs(*shape: int, dtype: torch.dtype = torch.float64) -> Pairs:
+    return Pairs.from_directions(hemisphere(*shape, seed=1, dtype=dtype), hemisphere(*shape, seed=2, dtype=dtype))
+
+
+@given(quarter, quarter, half_turn, turn)
+def test_angles_to_directions(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> None:
+    """Cosines from the angles are those of the rotated vectors, whatever the half vector's azimuth."""
+    angles, vectors = half_diff(theta_h, theta_d, phi_d), directions(theta_h, theta_d, phi_d, phi_h)
+    for name in ("cos_i", "cos_o", "cos_d"):
+        torch.testing.assert_close(getattr(angles, name), getattr(vectors, name), rtol=0, atol=1e-14)
+    # Rounding of the directions turns a short half vector.
+    torch.testing.assert_close(angles.cos_h, vectors.cos_h, rtol=0, atol=2e-15 / max(math.cos(theta_d), 1e-15))
+    wi, wo = from_half_diff(*(np.array([x]) for x in (theta_h, theta_d, phi_d)))
+    torch.testing.assert_close(angles.wi, torch.from_numpy(wi), rtol=0, atol=1e-14)
+    torch.testing.assert_close(angles.wo, torch.from_numpy(wo), rtol=0, atol=1e-14)
+
+
+@given(quarter, quarter, half_turn, turn)
+def test_directions_to_angles(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> None:
+    assume(theta_d < math.pi / 2 - 1e-3)  # where the half vector vanishes it has no angle
+    pairs = directions(theta_h, theta_d, phi_d, phi_h)
+    assert pairs.theta_h.item() == pytest.approx(theta_h, abs=1e-12)
+    assert pairs.theta_d.item() == pytest.approx(theta_d, abs=1e-15, rel=1e-12)
+    assume(min(theta_h, theta_d) > 1e-3)  # there phi_d is lost in rounding
+    turned = 2 * (pairs.phi_d.item() - phi_d)
+    assert (math.cos(turned), math.sin(turned)) == pytest.approx((1, 0), abs=1e-8)
+
+
+@given(quarter, quarter, half_turn, turn)
+def test_round_trip(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> None:
+    """Directions -> angles -> cosines, everywhere; folding phi_d may swap light and viewer."""
+    assume(theta_d < math.pi / 2 - 1e-3)
+    pairs = directions(theta_h, theta_d, phi_d, phi_h)
+    back = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d)
+    expected = sorted([pairs.cos_i.item(), pairs.cos_o.item()])
+    assert sorted([back.cos_i.item(), back.cos_o.item()]) == pytest.approx(expected, abs=1e-12)
+
+
+@given(quarter, quarter, half_turn, turn)
+def test_swapping_light_and_viewer(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> None:
+    assume(theta_d < math.pi / 2 - 1e-3)
+    pairs = directions(theta_h, theta_d, phi_d, phi_h)
+    swapped = Pairs.from_directions(pairs.wo, pairs.wi)
+    assert swapped.cos_i.item() == pairs.cos_o.item()
+    for name in ("theta_h", "theta_d", "cos_h", "cos_d", "tan2_h"):
+        torch.testing.assert_close(getattr(swapped, name), getattr(pairs, name), rtol=1e-12, atol=1e-15)
+    assume(min(theta_h, theta_d) > 1e-3)
+    turned = 2 * (swapped.phi_d - pairs.phi_d).item()
+    assert (math.cos(turned), math.sin(turned)) == pytest.approx((1, 0), abs=1e-8)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_ranges(dtype: torch.dtype) -> None:
+    pairs = random_pairs(20000, dtype=dtype)
+    edges = Pairs.from_directions(  # half vector at the normal, in the plane, and backwards in the plane
+        torch.tensor([[0, 0, 1], [0.6, 0, 0.8], [-0.6, -1e-9, 0.8], [0.6, 1e-9, 0.8]], dtype=dtype),
+        torch.tensor([[0, 0, 1], [-0.6, 0, 0.8], [0, 0, 1], [0, 0, 1]], dtype=dtype),
+    )
+    for case in (pairs, edges):
+        assert ((case.phi_d >= 0) & (case.phi_d < math.pi)).all()
+        for angle in (case.theta_h, case.theta_d):
+            assert ((angle >= 0) & (angle <= math.pi / 2)).all()
+
+
+@pytest.mark.parametrize("exponent", range(-6, 0))
+def test_tan2_h_keeps_its_digits_in_float32(exponent: int) -> None:
+    """Near theta_h = 0 a float32 cos_h is 1; tan2_h keeps the digits that the directions have."""
+    count = 200
+    generator = np.random.default_rng(exponent + 10)
+    theta_h = np.full(count, 10.0**exponent) * generator.uniform(1, 9, count)
+    vectors = from_half_diff(theta_h, generator.uniform(0, 1.3, count), *generator.uniform(0, math.pi, (2, count)))
+    wi, wo = (torch.from_numpy(vector).float() for vector in vectors)
+    exact = wi.double() + wo.double()
+    expected = (exact[:, 0] ** 2 + exact[:, 1] ** 2) / exact[:, 2] ** 2
+    pairs = Pairs.from_directions(wi, wo)
+    assert pairs.tan2_h.dtype == torch.float32
+    torch.testing.assert_close(pairs.tan2_h.double(), expected, rtol=1e-6, atol=0)
+    torch.testing.assert_close(pairs.theta_h.double(), expected.sqrt().atan(), rtol=1e-6, atol=0)
+    angle = torch.from_numpy(theta_h).float()
+    given = Pairs.from_half_diff(angle, angle, angle)
+    torch.testing.assert_close(given.tan2_h.double(), angle.double().tan() ** 2, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_limits_are_numbers(dtype: torch.dtype) -> None:
+    """The half vector on the horizon, no half vector at all, and nothing but the normal."""
+    wi = torch.tensor([[1, 0, 0], [0.6, 0, 0.8], [0, 0, 1], [1, 0, 1e-30]], dtype=dtype)
+    wo = torch.tensor([[0, 1, 0], [-0.6, 0, -0.8], [0, 0, 1], [1, 0, 1e-30]], dtype=dtype)
+    corners = torch.cartesian_prod(*[torch.tensor([0, math.pi / 2], dtype=dtype)] * 3).unbind(-1)
+    for pairs in (Pairs.from_directions(wi, wo), Pairs.from_half_diff(*corners)):
+        for name in QUANTITIES:
+            assert not getattr(pairs, name).isnan().any(), name
+
+
+def test_above_needs_both() -> None:
+    cos = torch.tensor([0.5, 0.0, -0.5])
+    pairs = Pairs.from_cosines(*(x.flatten() for x in torch.meshgrid(cos, cos, indexing="ij")))
+    assert pairs.above.tolist() == [True] + [False] * 8
+
+
+def test_directions_broadcast() -> None:
+    pairs = Pairs.from_directions(hemisphere(4, 1, 1), hemisphere(5))
+    assert pairs.shape == (4, 1, 5)
+    assert len(pairs) == 5
+    for name in QUANTITIES:
+        assert getattr(pairs, name).shape[:3] == (4, 1, 5)
+
+
+def everything(pairs: Pairs) -> dict[str, torch.Tensor]:
+    return {name: getattr(pairs, name) for name in QUANTITIES}
+
+
+@pytest.mark.parametrize("warm", [False, True], ids=["derived after", "derived before"])
+@pytest.mark.parametrize("samples", [slice(1, 6, 2), [3, 0], torch.tensor([5, 5, 1]), None])
+@pytest.mark.parametrize("materials", [slice(1, 3), [2, 0], torch.tensor([1]), None])
+@pytest.mark.parametrize("made", ["directions", "angles"])
+def test_select(made: str, materials: Any, samples: Any, warm: bool) -> None:
+    pairs, same = random_pairs(3, 7), random_pairs(3, 7)
+    if made == "angles":
+        pairs, same = (Pairs.from_half_diff(p.theta_h, p.theta_d, p.phi_d) for p in (pairs, same))
+    whole = everything(same)
+    if warm:
+        everything(pairs)
+    part = everything(pairs.select(materials, samples))
+    for name, value in whole.items():
+        rows = value if materials is None else value[materials]
+        torch.testing.assert_close(part[name], rows if samples is None else rows[:, samples], rtol=1e-14, atol=1e-15)
+
+
+def test_shared_pairs_are_everybodys() -> None:
+    pairs = random_pairs(1, 7)
+    chosen = pairs.select(materials=[4, 2], samples=[1])
+    assert chosen.shape == (1, 1)
+    assert chosen.cos_i.item() == pairs.cos_i[0, 1].item()
+
+
+def test_unbatched_pairs_have_samples_only() -> None:
+    pairs = random_pairs(7)
+    torch.testing.assert_close(pairs.select(materials=[0], samples=[2]).wi, pairs.wi[[2]])
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_to(warm: bool) -> None:
+    pairs = random_pairs(2, 5)
+    if warm:
+        everything(pairs)
+    single = pairs.to(dtype=torch.float32)
+    assert (single.dtype, pairs.dtype) == (torch.float32, torch.float64)
+    assert single.device == torch.device("cpu")
+    for name, value in everything(single).items():
+        assert value.dtype == (torch.bool if name == "above" else torch.float32)
+        torch.testing.assert_close(value, getattr(pairs, name).to(value.dtype), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(pairs.to("cpu").wi, pairs.wi, rtol=0, atol=0)
+
+
+def test_from_cosines_derives_what_it_can() -> None:
+    full = random_pairs(50)
+    pairs = Pairs.from_cosines(full.cos_i, full.cos_o, full.cos_h, full.cos_d)
+    for name in ("tan2_h", "theta_h", "theta_d", "above"):
+        torch.testing.assert_close(getattr(pairs, name), getattr(full, name), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(Pairs.from_cosines(full.cos_i, tan2_h=full.tan2_h).theta_h, full.theta_h)
+
+
+@pytest.mark.parametrize("name", ["cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo"])
+def test_from_cosines_refuses_what_it_cannot_know(name: str) -> None:
+    with pytest.raises(ShapeError, match=rf"^Pairs: {name} is needed, but only cos_i were given$"):
+        getattr(Pairs.from_cosines(torch.ones(3)), name)
+
+
+def test_wrong_shape_is_refused() -> None:
+    message = "Pairs: expected directions (..., N, 3), found wi (5, 3) and wo (5, 2)"
+    with pytest.raises(ShapeError, match=f"^{re.escape(message)}$"):
+        Pairs.from_directions(torch.ones(5, 3), torch.ones(5, 2))
+
+
+def test_repr_says_what_is_known() -> None:
+    assert repr(Pairs.from_cosines(torch.ones(2, 3))) == "Pairs((2, 3), torch.float32, cpu, known: cos_i)"
+
+
+def test_differentiable() -> None:
+    wi, wo = hemisphere(6, seed=3).requires_grad_(), hemisphere(6, seed=4).requires_grad_()
+
+    def quantities(wi: torch.Tensor, wo: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        pairs = Pairs.from_directions(wi, wo)
+        return pairs.cos_h, pairs.cos_d, pairs.tan2_h, pairs.theta_h, pairs.theta_d, pairs.phi_d
+
+    assert torch.autograd.gradcheck(quantities, (wi, wo))

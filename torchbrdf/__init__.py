@@ -1,0 +1,57 @@
+"""torchbrdf: fit BRDF models to measured materials, and measure how far apart two materials look.
+
+The parts are imported at first use, so that `import torchbrdf.losses` costs no more than torch.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from torchbrdf.fitting import FitResult, fit
+    from torchbrdf.lobes import Lobe, Sum
+    from torchbrdf.losses import Loss, Problem
+    from torchbrdf.measured import Measured, load, load_all
+    from torchbrdf.pairs import Pairs
+    from torchbrdf.recipe import Recipe, run
+    from torchbrdf.render import Environment, Scene
+
+_HOME = {
+    "Pairs": "pairs",
+    "Lobe": "lobes",
+    "Sum": "lobes",
+    "Loss": "losses",
+    "Problem": "losses",
+    "Measured": "measured",
+    "load": "measured",
+    "load_all": "measured",
+    "fit": "fitting",
+    "FitResult": "fitting",
+    "Scene": "render",
+    "Environment": "render",
+    "Recipe": "recipe",
+    "run": "recipe",
+}
+__all__ = [
+    "Environment",
+    "FitResult",
+    "Lobe",
+    "Loss",
+    "Measured",
+    "Pairs",
+    "Problem",
+    "Recipe",
+    "Scene",
+    "Sum",
+    "fit",
+    "load",
+    "load_all",
+    "run",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'torchbrdf' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"torchbrdf.{_HOME[name]}"), name)

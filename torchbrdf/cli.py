@@ -1,0 +1,245 @@
+"""The command line: `torchbrdf run | fit | render | info`."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from torchbrdf import __version__
+from torchbrdf.errors import TorchbrdfError, UsageError
+
+DESCRIPTION = """\
+Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
+
+  torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
+  torchbrdf fit nickel.binary --model ward      one fit, printed
+  torchbrdf render nickel.binary                a picture of a measured material, or of fits
+  torchbrdf info nickel.binary                  what a file holds
+"""
+
+RUN = """\
+Run a recipe: a short Python file that says what to do and which settings it has.
+
+  torchbrdf run fores2012
+  torchbrdf run fores2012 quick=true
+  torchbrdf run fores2012 materials=MERL/ environment=rnl_probe.hdr models=ward,cook_torrance
+  torchbrdf run my_recipe.py --out results
+
+Run it again with the same settings and folder, and it takes up what is finished.
+"""
+
+FIT = """\
+Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
+
+  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cuberoot
+  torchbrdf fit MERL/ --model cook_torrance --loss cosine --out fits/
+"""
+
+RENDER = """\
+Draw measured BRDFs, or the fits of a fits.json, under a light probe, to PNG (and linear EXR) files.
+
+  torchbrdf render nickel.binary --out pictures/
+  torchbrdf render fits/fits.json --environment rnl_probe.hdr --shape sphere --rotate 15
+"""
+
+INFO = """\
+Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
+
+  torchbrdf info nickel.binary
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
+    parser = build_parser()
+    options = parser.parse_args(arguments)
+    try:
+        return int(options.command(options))
+    except UsageError as error:
+        print(f"torchbrdf: {error}", file=sys.stderr)
+        return 2
+    except (TorchbrdfError, OSError) as error:
+        print(f"torchbrdf: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("torchbrdf: stopped; the same command takes up what is finished", file=sys.stderr)
+        return 1
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    parser = _parser(argparse.ArgumentParser(prog="torchbrdf"), DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"torchbrdf {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    run = _parser(commands.add_parser("run", help="run a recipe, such as fores2012"), RUN)
+    run.add_argument("recipe", help="a recipe's name, or a Python file that holds one; `list` shows them")
+    run.add_argument("settings", nargs="*", metavar="key=value", help="settings; `torchbrdf run NAME help=` shows them")
+    run.add_argument("--out", help="folder of the run (default: runs/NAME)")
+    run.set_defaults(command=run_command)
+
+    fit = _parser(commands.add_parser("fit", help="fit a model to measured BRDFs"), FIT)
+    fit.add_argument("files", nargs="+", help="measured BRDFs, or folders of them")
+    fit.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
+    fit.add_argument("--lobes", type=int, default=2, help="specular lobes beside the diffuse one (default 2)")
+    fit.add_argument("--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ...")
+    fit.add_argument("--strategy", default="staged", help="staged (default): the paper's procedure")
+    fit.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
+    fit.add_argument("--max-theta", type=float, default=80.0, help="largest angle from the normal (default 80)")
+    fit.add_argument("--samples", type=int, default=20_000, help="pairs the solver sees; 0: all (default 20000)")
+    fit.add_argument("--seed", type=int, default=0, help="seed of the subset (default 0)")
+    fit.add_argument("--out", help="folder for fits.json and fits.csv")
+    fit.set_defaults(command=fit_command)
+
+    render = _parser(commands.add_parser("render", help="draw measured BRDFs or fits"), RENDER)
+    render.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
+    render.add_argument(
+        "--environment", help=".exr or .hdr, latitude-longitude or angular map (default: the bundled grove)"
+    )
+    render.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
+    render.add_argument("--rotate", type=float, default=0.0, help="turn the view by so many degrees (default 0)")
+    render.add_argument("--size", type=int, default=400, help="pixels of a side (default 400)")
+    render.add_argument("--out", default=".", help="folder for the pictures (default: here)")
+    render.set_defaults(command=render_command)
+
+    info = _parser(commands.add_parser("info", help="say what a file holds"), INFO)
+    info.add_argument("files", nargs="+", help="measured BRDFs")
+    info.set_defaults(command=info_command)
+    return parser
+
+
+def run_command(options: argparse.Namespace) -> int:
+    """`torchbrdf run`."""
+    from torchbrdf.recipe import RECIPES, configure, describe, find_recipe, run
+
+    if options.recipe == "list":
+        for name, kind in RECIPES.items():
+            print(f"{name:20s} {(kind.__doc__ or '').splitlines()[0]}")
+        return 0
+    kind = find_recipe(options.recipe)
+    settings = {}
+    for text in options.settings:
+        key, separator, value = text.partition("=")
+        if not separator:
+            raise UsageError(f"{kind.name}: expected key=value, found {text!r}")
+        settings[key] = value
+    if "help" in settings:
+        print(describe(kind))
+        return 0
+    recipe = configure(kind, settings)
+    print(run(recipe, options.out or Path("runs") / kind.name, bars))
+    return 0
+
+
+def fit_command(options: argparse.Namespace) -> int:
+    """`torchbrdf fit`."""
+    from torchbrdf.errors import DataError
+    from torchbrdf.fitting import fit, write_csv
+    from torchbrdf.lobes import make_model, write_fits
+    from torchbrdf.losses import LOSSES
+    from torchbrdf.measured import load_all
+
+    model, loss = make_model(options.model, options.lobes), LOSSES[options.loss]()
+    bad: list[DataError] = []
+    groups = load_all(options.files, bad=bad)
+    for error in bad:
+        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    advance = bars("fits", sum(map(len, groups)))
+    records = []
+    for group in groups:
+        result = fit(
+            model,
+            group,
+            loss,
+            strategy=options.strategy,
+            diffuse=options.diffuse,
+            max_theta=options.max_theta,
+            samples=options.samples or None,
+            seed=options.seed,
+            progress=advance,
+        )
+        records += result.records()
+    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
+    for record in records:
+        rest = "  ".join(f"{key} {_short(value)}" for key, value in record["parameters"].items())
+        print(f"{record['material']:32s} {record['error']:10.4g}  {record['status']:14s} {rest}")
+    if options.out:
+        write_fits(Path(options.out) / "fits.json", records)
+        write_csv(Path(options.out) / "fits.csv", records)
+        print(Path(options.out) / "fits.json")
+    return 1 if bad else 0
+
+
+def render_command(options: argparse.Namespace) -> int:
+    """`torchbrdf render`."""
+    from torchbrdf.errors import DataError
+    from torchbrdf.images import ToneMap, over, write_exr, write_png
+    from torchbrdf.measured import load_all
+    from torchbrdf.render import Environment, Mesh, Scene, View, blob, render, sphere
+
+    made: dict[str, Callable[[], Mesh]] = {"blob": blob, "sphere": sphere}
+    mesh = made[options.shape]() if options.shape in made else Mesh.load(options.shape)
+    light = Environment.from_file(options.environment) if options.environment else Environment.default()
+    scene = Scene(mesh, View(options.rotate), light, size=options.size)
+    bad: list[DataError] = []
+    groups = load_all(options.files, bad=bad)
+    for error in bad:
+        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    for group in groups:
+        pictures = render(group, scene)
+        tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
+        for name, picture in zip(group.names, pictures, strict=True):
+            path = Path(options.out) / f"{name}.png"
+            write_png(path, over(tone(picture), scene.coverage))
+            write_exr(path.with_suffix(".exr"), picture)
+            print(path)
+    return 1 if bad else 0
+
+
+def info_command(options: argparse.Namespace) -> int:
+    """`torchbrdf info`."""
+    from torchbrdf.measured import describe
+
+    failed = 0
+    for k, name in enumerate(options.files):
+        try:
+            facts = describe(name)
+        except TorchbrdfError as error:
+            print(f"torchbrdf: {error}", file=sys.stderr)
+            failed = 1
+            continue
+        if k:
+            print()
+        print(name)
+        for key, value in facts.items():
+            print(f"  {key:24s} {_short(value)}")
+    return failed
+
+
+def bars(label: str, total: int) -> Callable[[int], None]:
+    """A progress bar on a terminal; nothing where there is none, or nothing to do."""
+    from tqdm import tqdm
+
+    bar = tqdm(total=total, desc=label, unit="", disable=None if total else True, leave=True)
+
+    def advance(done: int) -> None:
+        bar.update(done)
+        if bar.n >= total:
+            bar.close()
+
+    return advance
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        shown = [_short(item) for item in value[:6]]
+        return "(" + ", ".join(shown) + (", ..." if len(value) > 6 else "") + ")"
+    return str(value)
+
+
+def _parser(parser: argparse.ArgumentParser, description: str) -> argparse.ArgumentParser:
+    parser.description = description
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    return parser

@@ -1,0 +1,116 @@
+"""What a fit found, and its files."""
+
+import csv
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError
+from torchbrdf.files import write_text
+from torchbrdf.fitting.lbfgs import Status
+from torchbrdf.fitting.strategy import Stage
+from torchbrdf.lobes import Lobe, model_name, model_of, number, parameters, read_fits, write_fits
+
+
+@dataclass
+class FitResult:
+    """One model fitted to M materials under one loss.
+
+    `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
+    the solver saw, `(M,)` each; `status` says of each material whether the solver converged; `history` has the stages.
+    `seconds` is the time of the whole batch.
+    """
+
+    names: list[str]
+    model: Lobe
+    loss: str
+    strategy: str
+    diffuse: str
+    error: Tensor
+    subset_error: Tensor
+    status: list[Status]
+    seconds: float
+    max_theta: float
+    samples: int | None
+    seed: int
+    history: list[Stage] = field(default_factory=list)
+
+    def records(self) -> list[dict[str, Any]]:
+        """One plain dictionary a material, as in `fits.json`."""
+        name, lobes = model_name(self.model)
+        return [
+            {
+                "material": material,
+                "model": name,
+                "lobes": lobes,
+                "loss": self.loss,
+                "strategy": self.strategy,
+                "error": self.error[k].item(),
+                "subset_error": self.subset_error[k].item(),
+                "status": str(self.status[k]),
+                "seconds": self.seconds / len(self.names),
+                "max_theta": self.max_theta,
+                "samples": self.samples,
+                "seed": self.seed,
+                "diffuse": self.diffuse,
+                "iterations": sum(stage.iterations[k] for stage in self.history),
+                "parameters": parameters(self.model, k),
+            }
+            for k, material in enumerate(self.names)
+        ]
+
+    def save(self, path: Path | str) -> None:
+        """Write `fits.json`: a list of `records`."""
+        write_fits(path, self.records())
+
+    @classmethod
+    def load(cls, path: Path | str) -> "FitResult":
+        """Read what `save` wrote; the stages are not kept in the file."""
+        records = read_fits(path)
+        common = ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed")
+        mixed = [key for key in common if len({record[key] for record in records}) != 1]
+        if mixed:
+            raise DataError(f"{path}: expected the fits of one model under one loss, found several: {', '.join(mixed)}")
+        first = records[0]
+        return cls(
+            names=[record["material"] for record in records],
+            model=model_of(records),
+            loss=first["loss"],
+            strategy=first["strategy"],
+            diffuse=first["diffuse"],
+            error=torch.tensor([number(record["error"]) for record in records], dtype=torch.float64),
+            subset_error=torch.tensor([number(record["subset_error"]) for record in records], dtype=torch.float64),
+            status=[Status(record["status"]) for record in records],
+            seconds=sum(record["seconds"] for record in records),
+            max_theta=first["max_theta"],
+            samples=first["samples"],
+            seed=first["seed"],
+        )
+
+
+def write_csv(path: Path | str, records: list[dict[str, Any]]) -> None:
+    """Write records flat: one column a number."""
+    rows = [_flat(record) for record in records]
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def _flat(value: Any, name: str = "") -> dict[str, Any]:
+    if isinstance(value, dict):
+        items = value.items()
+        return {
+            k: v
+            for key, item in items
+            for k, v in _flat(item, key if name in ("", "parameters") else f"{name}_{key}").items()
+        }
+    if isinstance(value, list):
+        return {k: v for i, item in enumerate(value) for k, v in _flat(item, f"{name}_{i}").items()}
+    return {name: value}

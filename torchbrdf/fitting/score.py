@@ -1,0 +1,48 @@
+"""Errors of fitted models on every valid sample, and the paper's test for local minima."""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor
+
+from torchbrdf.lobes import Lobe
+from torchbrdf.losses import Loss
+from torchbrdf.measured import Measured
+
+# Pairs of a batch times its materials: about 20 arrays of three float32 channels of this size are alive at a time.
+BUDGET = 1_500_000
+
+
+def groups(materials: int, pairs: int) -> Iterator[list[int]]:
+    """Materials in batches whose pairs fit into the memory budget."""
+    size = max(1, BUDGET // max(pairs, 1))
+    for first in range(0, materials, size):
+        yield list(range(first, min(first + size, materials)))
+
+
+@torch.no_grad()
+def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
+    """The error of a batched model under each loss on every sample of `measured`, `(L, M)`, float64."""
+    packed = model.pack()
+    found = torch.empty(len(losses), len(measured), dtype=torch.float64)
+    for rows in groups(len(measured), len(measured.pairs)):
+        part = measured.batch(rows)
+        fitted = model.unpack(packed[rows])
+        predictions: dict[int, Tensor] = {}
+        for k, loss in enumerate(losses):
+            problem = loss.problem(part)
+            if id(problem.pairs) not in predictions:
+                predictions[id(problem.pairs)] = fitted(problem.pairs)
+            prediction = predictions[id(problem.pairs)]
+            found[k, rows] = loss.error(prediction, problem.target, problem.pairs, problem.weight).cpu()
+    return found
+
+
+def local_minima(cross: Tensor, tolerance: float = 1e-4) -> Tensor:
+    """The paper's test: which fits another loss's parameters beat.
+
+    cross: `(L, L, M)`, the error under loss a of the parameters found under loss b, at [a, b]. A fit under a is an
+    outlier, stuck in a local minimum, if some b has a lower error there by more than `tolerance`, relative: `(L, M)`.
+    """
+    own = torch.diagonal(cross, dim1=0, dim2=1).T
+    return cross.amin(1) < own * (1 - tolerance)

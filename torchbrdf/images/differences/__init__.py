@@ -1,0 +1,5 @@
+"""How far apart two pictures are. A difference a file."""
+
+from torchbrdf.images.differences.base import DIFFERENCES, Difference
+
+__all__ = ["DIFFERENCES", "Difference"]

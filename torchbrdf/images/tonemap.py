@@ -1,0 +1,89 @@
+"""From linear pictures to display values: Reinhard's global operator, measured once and then frozen."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, ShapeError, UsageError
+
+# Added to every luminance before its logarithm, as the implementation that the paper used does.
+_DELTA = 1e-5
+
+
+def luminance(image: Tensor) -> Tensor:
+    """Luminance of linear `(..., 3)` with the primaries of ITU-R BT.709, `(...)`."""
+    return image[..., 0] * 0.2126 + image[..., 1] * 0.7152 + image[..., 2] * 0.0722
+
+
+def over(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
+    """Display values `(..., H, W, 3)` where `coverage` `(H, W)` is 1, a grey `background` where it is 0."""
+    return torch.lerp(torch.full_like(display, background), display, coverage[..., None].to(display))
+
+
+@dataclass(frozen=True)
+class ToneMap:
+    """Reinhard's global operator with its two scene-dependent numbers fixed, so that pictures stay comparable.
+
+    With Y the luminance and L = key Y / log_average: L_d = L (1 + L / white^2) / (1 + L); display values are
+    clip(rgb L_d / Y)^(1 / gamma). `white` is the scaled luminance that becomes 1. The paper used the implementation
+    of pfstools (pfstmo_reinhard02), whose global form has no other white than the largest luminance of its picture;
+    `from_images` therefore takes the largest of the composite. `phi` is the sharpness of the operator's local form;
+    the paper lists it, the global form has no use for it: it is recorded and ignored.
+
+    Source: E. Reinhard et al., Photographic Tone Reproduction for Digital Images, 2002, doi:10.1145/566654.566575,
+    eq. 1, 2 and 4.
+    """
+
+    log_average: float
+    white: float
+    key: float = 0.18
+    gamma: float = 2.2
+    phi: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+                raise UsageError(f"ToneMap.{name}: expected a number above 0, found {value!r}")
+
+    @classmethod
+    def from_images(
+        cls, images: Tensor, mask: Tensor | None = None, key: float = 0.18, gamma: float = 2.2, phi: float = 1.0
+    ) -> "ToneMap":
+        """Measured over the composite of linear `images` `(..., H, W, 3)`, where `mask` `(..., H, W)` is true."""
+        if images.shape[-1:] != (3,):
+            raise ShapeError(f"ToneMap: expected images (..., 3), found {(*images.shape,)}")
+        light = luminance(images.detach()).clamp_min(0)
+        if mask is not None:
+            light = light[mask.to(light.device, torch.bool).expand(light.shape)]
+        if not light.numel():
+            raise DataError("ToneMap: no pixel to measure; the mask is empty")
+        largest = float(light.max())
+        if not (math.isfinite(largest) and largest > 0 and bool(light.isfinite().all())):
+            raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
+        log_average = math.exp(float((light + _DELTA).log().mean(dtype=torch.float64)))
+        return cls(log_average, key * largest / log_average, key, gamma, phi)
+
+    def __call__(self, image: Tensor) -> Tensor:
+        """Display values in [0, 1] of linear `(..., 3)`; negative values count as 0, with gradient 0."""
+        image = image.clamp_min(0)
+        scaled = luminance(image)[..., None] * (self.key / self.log_average)
+        # L_d / Y without a division by Y, so that black has a finite gradient.
+        ratio = (self.key / self.log_average) * (1 + scaled / self.white**2) / (1 + scaled)
+        shown = (image * ratio).clamp_max(1)
+        positive = shown > 0
+        return torch.where(positive, torch.where(positive, shown, 1).pow(1 / self.gamma), 0)
+
+    def to_dict(self) -> dict[str, float]:
+        """The numbers by name, for a record."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, numbers: dict[str, Any]) -> "ToneMap":
+        """From what `to_dict` gave."""
+        try:
+            return cls(**numbers)
+        except TypeError:
+            raise DataError(f"ToneMap: expected {', '.join(cls.__annotations__)}; found {', '.join(numbers)}") from None

@@ -1,0 +1,152 @@
+"""What a lobe is: a function of Pairs with bounded parameters, and its module form."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self, overload
+
+import torch
+from torch import Tensor, nn
+
+from torchbrdf.errors import ShapeError
+from torchbrdf.pairs import Pairs
+from torchbrdf.registry import Registry
+
+LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes")
+
+
+@dataclass
+class Bounded:
+    """A parameter of a lobe, declared once: where a fit starts, its bounds, and what it means.
+
+    `shape` is (3,) for a colour, (1,) for a scalar. `linear` says that the lobe's value is proportional to it
+    (an albedo). `log` asks solvers to move it on a logarithmic scale, for a range of many decades.
+    """
+
+    start: float
+    lower: float
+    upper: float
+    doc: str
+    shape: tuple[int, ...] = (1,)
+    linear: bool = False
+    log: bool = False
+    name: str = field(default="", init=False)
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, lobe: None, owner: type) -> "Bounded": ...
+    @overload
+    def __get__(self, lobe: "Lobe", owner: type) -> Tensor: ...
+    def __get__(self, lobe: "Lobe | None", owner: type) -> "Bounded | Tensor":
+        if lobe is None:
+            return self
+        try:
+            return lobe._parameters[self.name]  # type: ignore[return-value]
+        except KeyError:
+            raise AttributeError(f"{owner.__name__} has no {self.name} yet") from None
+
+    @property
+    def size(self) -> int:
+        """How many numbers a material has."""
+        return math.prod(self.shape)
+
+
+def color(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, doc: str) -> Bounded:
+    """An albedo: linear, from 0 to 1, one value a channel."""
+    return Bounded(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
+
+
+class Lobe(nn.Module):
+    """A BRDF or a part of one: `lobe(pairs)` gives values in 1/sr, `(..., N, 3)`, without the cosine.
+
+    A subclass declares its parameters as `Bounded` class attributes and names its functional form:
+
+        @LOBES.register("ward")
+        class Ward(Lobe):
+            specular = color(start=0.5, doc="...")
+            roughness = Bounded(start=0.01, lower=0.001, upper=0.5, doc="...")
+            function = staticmethod(ward)
+
+    Parameters have the shape `(k,)`, or `(M, k)` after `batched(M)`. A value at construction may be a number, for
+    every channel, or anything that broadcasts to the declared shape behind leading dimensions.
+    """
+
+    declared: ClassVar[dict[str, Bounded]] = {}
+    function: ClassVar[Callable[..., Tensor]]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Bounded)}
+        cls.declared = {**cls.declared, **own}
+
+    def __init__(self, *, dtype: torch.dtype | None = None, **values: Tensor | float | list[float]) -> None:
+        super().__init__()
+        extra = sorted(set(values) - set(self.declared))
+        if extra:
+            known = ", ".join(self.declared)
+            raise ShapeError(f"{type(self).__name__}: unknown parameter {extra[0]!r}; expected {known}")
+        for name, bounded in self.declared.items():
+            value = torch.as_tensor(values.get(name, bounded.start))
+            value = value.to(dtype or (value.dtype if value.is_floating_point() else torch.get_default_dtype()))
+            try:
+                lead = value.shape[: max(value.dim() - len(bounded.shape), 0)]
+                value = value.expand(*lead, *bounded.shape)
+            except RuntimeError:
+                where = f"{type(self).__name__}.{name}"
+                raise ShapeError(
+                    f"{where}: expected (..., {', '.join(map(str, bounded.shape))}), found {(*value.shape,)}"
+                ) from None
+            self.register_parameter(name, nn.Parameter(value.clone()))
+
+    def forward(self, pairs: Pairs) -> Tensor:
+        """Values on pairs, `(..., N, 3)`."""
+        return type(self).function(pairs, *(getattr(self, name) for name in self.declared))
+
+    def parts(self) -> list["Lobe"]:
+        """The lobes that this one adds up; itself, if it is no sum."""
+        return [self]
+
+    def batched(self, materials: int) -> Self:
+        """A copy with its own parameters for each of M materials, `(M, k)`."""
+        made = copy.deepcopy(self)
+        for part in made.parts():
+            for name, bounded in part.declared.items():
+                value = getattr(part, name).detach()
+                if value.dim() > len(bounded.shape) and value.shape[0] not in (1, materials):
+                    raise ShapeError(f"{type(part).__name__}.{name}: {value.shape[0]} materials, not {materials}")
+                value = value.expand(materials, *bounded.shape).clone()
+                setattr(part, name, nn.Parameter(value))
+        return made
+
+    def slots(self) -> list[tuple["Lobe", Bounded]]:
+        """Every parameter of every part, in the order of `pack`."""
+        return [(part, bounded) for part in self.parts() for bounded in part.declared.values()]
+
+    def pack(self) -> Tensor:
+        """All parameters beside each other, `(M, P)`, detached; `(P,)` if not batched."""
+        values = [
+            getattr(part, bounded.name).detach().flatten(start_dim=-len(bounded.shape))
+            for part, bounded in self.slots()
+        ]
+        return torch.cat(values, -1)
+
+    def unpack(self, packed: Tensor) -> Self:
+        """A copy with the parameters of `packed`, as `pack` orders them, `(..., P)`."""
+        sizes = [bounded.size for _, bounded in self.slots()]
+        if packed.shape[-1:] != (sum(sizes),):
+            raise ShapeError(f"unpack: expected (..., {sum(sizes)}), found {(*packed.shape,)}")
+        made = copy.deepcopy(self)
+        for (part, bounded), value in zip(made.slots(), packed.detach().split(sizes, -1), strict=True):
+            setattr(part, bounded.name, nn.Parameter(value.reshape(*value.shape[:-1], *bounded.shape).clone()))
+        return made
+
+    @property
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper bounds, `(P,)` each, in the order of `pack`."""
+        lower = [torch.full((bounded.size,), bounded.lower) for _, bounded in self.slots()]
+        upper = [torch.full((bounded.size,), bounded.upper) for _, bounded in self.slots()]
+        like = self.pack()
+        return torch.cat(lower).to(like), torch.cat(upper).to(like)

@@ -1,0 +1,59 @@
+"""A lobe whose microfacet distribution is a table: the paper's "hybrid" form."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchbrdf.lobes.base import LOBES, Bounded, Lobe
+from torchbrdf.lobes.fresnel import schlick
+from torchbrdf.lobes.shape import v_groove
+from torchbrdf.pairs import Pairs
+
+NODES = 90
+
+
+def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor:
+    """D(theta_h) G F / (4 cos_i cos_o), with a tabulated D for each channel.
+
+    distribution: `(..., K, 3)`, D at theta_h = ((k + 0.5) / K)^2 pi/2 (MERL's spacing, dense at the highlight),
+    linear in between and constant outside; it holds the specular albedo. G is the shadowing of Cook-Torrance (eq. 6),
+    F Schlick's Fresnel with f0 `(..., 1)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Source: the paper's references [1], M. Ashikhmin and S. Premoze, Distribution-based BRDFs, 2007, and [8],
+    W. Matusik et al., Printing Spatially-varying Reflectance, 2009, doi:10.1145/1618452.1618474; their form of the
+    shadowing, 1 / (cos_i + cos_o - cos_i cos_o), fits MERL-like tables worse (recipes/make_standins.py).
+    """
+    nodes = distribution.shape[-2]
+    position = (pairs.theta_h / (math.pi / 2)).clamp(0, 1).sqrt() * nodes - 0.5
+    position = position.clamp(0, nodes - 1)
+    low = position.floor().clamp_max(nodes - 2).to(torch.long)
+    share = (position - low)[..., None]
+    table = _at(distribution, low) * (1 - share) + _at(distribution, low + 1) * share
+    geometry = v_groove(pairs) / 4 * schlick(f0, pairs.cos_d)
+    return table * torch.where(pairs.above, geometry, 0)[..., None]
+
+
+def _at(distribution: Tensor, index: Tensor) -> Tensor:
+    """Rows of the table at `index`: one index for all materials, or one a material."""
+    if index.dim() == 1 or (index.dim() == 2 and index.shape[0] == 1):
+        return distribution.index_select(-2, index.reshape(-1))
+    lead = torch.broadcast_shapes(distribution.shape[:-2], index.shape[:-1])
+    index = index.expand(*lead, -1)[..., None].expand(*lead, index.shape[-1], 3)
+    return distribution.expand(*lead, *distribution.shape[-2:]).gather(-2, index)
+
+
+@LOBES.register("distribution_based")
+class DistributionBased(Lobe):
+    """A microfacet lobe with a tabulated distribution for each channel, Fresnel and shadowing."""
+
+    distribution = Bounded(
+        start=0.01,
+        lower=1e-6,
+        upper=1e6,
+        shape=(NODES, 3),
+        linear=True,
+        log=True,
+        doc="D at MERL's theta_h, per channel",
+    )
+    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, doc="reflectance at normal incidence")
+    function = staticmethod(distribution_based)

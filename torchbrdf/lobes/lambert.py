@@ -1,0 +1,27 @@
+"""Lambert's diffuse reflection."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchbrdf.lobes.base import LOBES, Lobe, color
+from torchbrdf.lobes.shape import colored
+from torchbrdf.pairs import Pairs
+
+
+def lambert(pairs: Pairs, albedo: Tensor) -> Tensor:
+    """albedo / pi.
+
+    albedo: `(..., 3)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Source: the diffuse term of the paper's eq. 11.
+    """
+    return colored(pairs, torch.full_like(pairs.cos_i, 1 / math.pi), albedo)
+
+
+@LOBES.register("lambert")
+class Lambert(Lobe):
+    """Diffuse reflection: albedo / pi."""
+
+    albedo = color(start=0.5, doc="diffuse albedo, per channel")
+    function = staticmethod(lambert)

@@ -1,0 +1,37 @@
+"""What the lobes share: limits that keep values and gradients finite, and a scalar shape times a colour."""
+
+import torch
+from torch import Tensor
+
+from torchbrdf.pairs import Pairs
+
+# Below this a cosine no longer changes a quotient: keeps grazing values and gradients finite in float32.
+COSINE_FLOOR = 1e-10
+# Beyond this every lobe is 0 or flat; an infinite tangent would make gradients 0 * inf.
+TAN2_CEILING = 1e18
+
+
+def floored(cosine: Tensor) -> Tensor:
+    """A cosine that may be divided by."""
+    return cosine.clamp_min(COSINE_FLOOR)
+
+
+def tangent(pairs: Pairs) -> Tensor:
+    """tan2_h, finite at half vectors on the horizon."""
+    return pairs.tan2_h.clamp_max(TAN2_CEILING)
+
+
+def v_groove(pairs: Pairs) -> Tensor:
+    """G / (cos_i cos_o), `(..., N)`, with G = min(1, 2 cos_h cos_o / cos_d, 2 cos_h cos_i / cos_d).
+
+    Shadowing and masking of V-shaped grooves (the paper's eq. 6); each term is divided on its own, so that grazing
+    values stay finite.
+    """
+    cos_i, cos_o = floored(pairs.cos_i), floored(pairs.cos_o)
+    masked = 2 * floored(pairs.cos_h) / (floored(pairs.cos_d) * torch.maximum(cos_i, cos_o))
+    return torch.minimum(1 / (cos_i * cos_o), masked)
+
+
+def colored(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:
+    """albedo `(..., 3)` times a scalar shape `(..., N)`, zero below the horizon: `(..., N, 3)`."""
+    return torch.where(pairs.above, shape, 0)[..., None] * albedo[..., None, :]

@@ -1,0 +1,29 @@
+"""Sums of lobes."""
+
+from torch import Tensor, nn
+
+from torchbrdf.errors import ShapeError
+from torchbrdf.lobes.base import Lobe
+from torchbrdf.pairs import Pairs
+
+
+class Sum(Lobe):
+    """The sum of its lobes: `Sum(Lambert(), Ward(), Ward())` is the paper's eq. 11 with Ward's model."""
+
+    def __init__(self, *lobes: Lobe) -> None:
+        super().__init__()
+        if not lobes:
+            raise ShapeError("Sum: expected at least one lobe, found none")
+        self.lobes = nn.ModuleList(part for lobe in lobes for part in lobe.parts())
+
+    def parts(self) -> list[Lobe]:
+        """The lobes that are added, without nesting."""
+        return list(self.lobes)  # type: ignore[arg-type]
+
+    def forward(self, pairs: Pairs) -> Tensor:
+        """The sum of the lobes' values on pairs, `(..., N, 3)`."""
+        first, *rest = self.lobes
+        total: Tensor = first(pairs)
+        for lobe in rest:
+            total = total + lobe(pairs)
+        return total

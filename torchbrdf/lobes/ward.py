@@ -1,0 +1,32 @@
+"""Ward's isotropic lobe."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
+from torchbrdf.lobes.shape import colored, floored, tangent
+from torchbrdf.pairs import Pairs
+
+
+def ward(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
+    """specular * exp(-tan2_h / roughness^2) / (4 pi roughness^2 sqrt(cos_i cos_o)).
+
+    specular: albedo `(..., 3)`; roughness: alpha `(..., 1)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Source: the paper's eq. 7; G. Ward, Measuring and Modeling Anisotropic Reflection, 1992,
+    doi:10.1145/142920.134078.
+    """
+    square = roughness.square()
+    geometry = torch.rsqrt(floored(pairs.cos_i)) * torch.rsqrt(floored(pairs.cos_o))
+    shape = torch.exp(-tangent(pairs) / square) * (geometry / (4 * math.pi * square))
+    return colored(pairs, shape, specular)
+
+
+@LOBES.register("ward")
+class Ward(Lobe):
+    """Ward's isotropic lobe (eq. 7), with the start and bounds of the paper's Table 1."""
+
+    specular = color(start=0.5, doc="specular albedo, per channel")
+    roughness = Bounded(start=0.01, lower=0.001, upper=0.5, log=True, doc="alpha, the width of the lobe")
+    function = staticmethod(ward)

@@ -1,0 +1,143 @@
+"""What a loss is: one error for each material, from two sets of values on the same Pairs."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.pairs import Pairs
+from torchbrdf.registry import Registry
+
+LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses")
+
+Reduction = Literal["none", "mean", "sum"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a fit solves: find values on `pairs` that come close to `target`, `(M, N, 3)`, under `weight`."""
+
+    pairs: Pairs
+    target: Tensor
+    weight: Tensor | None = None
+
+
+class Samples(Protocol):
+    """What a loss asks of a measured BRDF."""
+
+    @property
+    def pairs(self) -> Pairs: ...
+    @property
+    def values(self) -> Tensor: ...
+    @property
+    def weight(self) -> Tensor: ...
+    def batch(self, materials: list[int] | None = None, samples: Tensor | None = None) -> "Samples": ...
+
+
+class Loss(nn.Module):
+    """An error for each material: the root of the weighted mean of a pointwise difference.
+
+    `loss(prediction, target, pairs, weight=None)` takes values `(..., N, C)` in 1/sr without the cosine, Pairs of
+    shape `(..., N)` and weights that broadcast to the values; the mean counts every channel of every pair, and
+    pairs of weight 0 do not count (their values must be finite). The error has the shape `(...)` with
+    reduction="none", and is a scalar with "mean" or "sum". Without any weight above 0 there is no error: nan.
+
+    A subclass registers itself, says in `needs` which quantities of Pairs it reads, and gives `pointwise`.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    subsets: ClassVar[bool] = True
+
+    def __init__(self, reduction: Reduction = "mean") -> None:
+        super().__init__()
+        if reduction not in ("none", "mean", "sum"):
+            raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
+        self.reduction = reduction
+
+    def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+        """The difference of every value, at least 0, `(..., N, C)`."""
+        raise NotImplementedError
+
+    def error(
+        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
+    ) -> Tensor:
+        """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
+        self._check(prediction, target, pairs, weight)
+        return safe_sqrt(weighted_mean(self.pointwise(prediction, target, pairs), weight))
+
+    def forward(
+        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
+    ) -> Tensor:
+        """The error after the reduction, in the inputs' dtype; see the class for the shapes."""
+        error = self.error(prediction, target, pairs, weight).to(torch.promote_types(prediction.dtype, target.dtype))
+        if self.reduction == "none":
+            return error
+        return error.mean() if self.reduction == "mean" else error.sum()
+
+    def problem(self, measured: Samples, subset: Tensor | None = None) -> Problem:
+        """The measured pairs, or those of them that `subset` names by index, as a Problem."""
+        part = measured if subset is None else measured.batch(samples=subset)
+        return Problem(part.pairs, part.values, part.weight)
+
+    def _check(self, prediction: Tensor, target: Tensor, pairs: Pairs | None, weight: Tensor | None) -> None:
+        name = type(self).__name__
+        if prediction.dim() < 2 or target.dim() < 2:
+            raise ShapeError(f"{name}: expected values (..., N, C), found {_shapes(prediction, target)}")
+        if prediction.shape[-2:] != target.shape[-2:]:
+            raise ShapeError(
+                f"{name}: prediction and target differ in pairs or channels: {_shapes(prediction, target)}"
+            )
+        if self.needs and pairs is None:
+            raise ShapeError(f"{name}: needs pairs for {', '.join(self.needs)}; give a Pairs, or Pairs.from_cosines")
+        if self.needs and pairs is not None and len(pairs) not in (1, target.shape[-2]):
+            raise ShapeError(f"{name}: {len(pairs)} pairs for values {(*target.shape,)}")
+        if weight is not None:
+            samples, channels = (1, 1, *weight.shape)[-2:]
+            if samples not in (1, target.shape[-2]) or channels not in (1, target.shape[-1]):
+                raise ShapeError(f"{name}: weights {(*weight.shape,)} do not broadcast to values {(*target.shape,)}")
+
+
+class LeastSquares(Loss):
+    """A loss that is a root mean square of residuals, so that Gauss-Newton solvers apply."""
+
+    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+        """Signed differences, `(..., N, C)`."""
+        raise NotImplementedError
+
+    def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+        """The squared residuals."""
+        return self.residuals(prediction, target, pairs).square()
+
+
+def cosine(pairs: Pairs | None) -> Tensor:
+    """cos_i as a column `(..., N, 1)`, zero below the horizon."""
+    if pairs is None:
+        raise ShapeError("pairs are needed for cos_i")
+    return pairs.cos_i.clamp_min(0)[..., None]
+
+
+def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
+    """Mean over pairs and channels, `(..., N, C)` to `(...)`, summed and returned in float64."""
+    if weight is None:
+        return values.sum((-2, -1), dtype=torch.float64) / values.shape[-2:].numel()
+    weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
+    total = (values * weight).sum((-2, -1), dtype=torch.float64)
+    return total / weight.sum((-2, -1), dtype=torch.float64)
+
+
+def safe_sqrt(x: Tensor) -> Tensor:
+    """Square root with gradient 0 at 0, where the true one is infinite."""
+    positive = x > 0
+    return torch.where(positive, torch.where(positive, x, 1).sqrt(), torch.where(x < 0, torch.nan, x))
+
+
+def safe_power(x: Tensor, exponent: float) -> Tensor:
+    """x^exponent for x >= 0, with gradient 0 at 0, where that of an exponent below 1 is infinite."""
+    positive = x > 0
+    return torch.where(positive, torch.where(positive, x, 1).pow(exponent), 0)
+
+
+def _shapes(prediction: Tensor, target: Tensor) -> str:
+    return f"prediction {(*prediction.shape,)}, target {(*target.shape,)}"

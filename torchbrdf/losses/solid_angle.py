@@ -1,0 +1,43 @@
+"""Cosine-weighted root mean square error with the solid angle of a bin as weight."""
+
+from torch import Tensor
+
+from torchbrdf.errors import ShapeError
+from torchbrdf.losses.base import LOSSES, LeastSquares, cosine
+from torchbrdf.pairs import Pairs
+
+
+@LOSSES.register("solid_angle_cosine")
+class SolidAngleCosineRMSLoss(LeastSquares):
+    """sqrt(sum(w (M cos_i - A cos_i)^2) / sum(w)). Shapes as `Loss`.
+
+    w is the solid angle d(omega_i) d(omega_o) that a MERL bin stands for, but for a constant:
+    sqrt(theta_h) sin(theta_h) sin(theta_d) cos(theta_d), since d(omega_i) d(omega_o) = 4 cos(theta_d) d(omega_h)
+    d(omega_d) and MERL's bins are equal in sqrt(theta_h). On pairs that were drawn in another way the matching
+    weight is theirs: use CosineRMSLoss and pass it.
+
+    Source: the metric of A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005,
+    doi:10.2312/EGWR/EGSR05/117-126, "weighted by the cosine and the solid angle"; the formula of w is our reading.
+    """
+
+    needs = ("cos_i", "theta_h", "theta_d")
+
+    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+        """(A - M) cos_i."""
+        return (prediction - target) * cosine(pairs)
+
+    def error(
+        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
+    ) -> Tensor:
+        """As `Loss.error`; `weight` multiplies the solid angle."""
+        if pairs is None:
+            raise ShapeError("SolidAngleCosineRMSLoss: needs pairs for cos_i, theta_h, theta_d")
+        self._check(prediction, target, pairs, weight)
+        angle = solid_angle(pairs)[..., None]
+        return super().error(prediction, target, pairs, angle if weight is None else weight * angle)
+
+
+def solid_angle(pairs: Pairs) -> Tensor:
+    """What a MERL bin at these angles covers of d(omega_i) d(omega_o), but for a constant, `(..., N)`."""
+    theta_h, theta_d = pairs.theta_h, pairs.theta_d
+    return theta_h.sqrt() * theta_h.sin() * theta_d.sin() * theta_d.cos()

@@ -1,0 +1,34 @@
+"""Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
+
+from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
+from torchbrdf.measured.describe import describe
+from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.load import load, load_all
+from torchbrdf.measured.measured import FORMATS, Lookup, Measured, Samples, Source
+from torchbrdf.measured.merl import Merl, write_merl, write_raw
+from torchbrdf.measured.rgl import Rgl
+from torchbrdf.measured.standin import StandIn, standins
+
+__all__ = [
+    "FORMATS",
+    "MERL_NAMES",
+    "MERL_SHA256",
+    "PAPER_TEN",
+    "Lookup",
+    "Measured",
+    "Merl",
+    "Rgl",
+    "Samples",
+    "Source",
+    "StandIn",
+    "contrast_gloss",
+    "describe",
+    "distinctness_of_image",
+    "is_merl",
+    "load",
+    "load_all",
+    "merl_name",
+    "standins",
+    "write_merl",
+    "write_raw",
+]

@@ -1,0 +1,44 @@
+"""What there is to say about a file of measured BRDFs."""
+
+import math
+from pathlib import Path
+
+import torch
+
+from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.load import load
+from torchbrdf.measured.measured import Measured
+
+
+def describe(path: str | Path) -> dict[str, object]:
+    """Facts about one file, by name, in an order to print: sizes, validity, diffuse albedo, gloss, range of values.
+
+    Lists have one entry a channel, figures that do not exist are None, and formats add what only they know. Where a
+    file has several materials, each has its facts under its name. A file that is none is a DataError.
+    """
+    measured = load(path, dtype=torch.float64)
+    facts: dict[str, object] = {
+        "format": measured.source.format,
+        "bytes": Path(path).stat().st_size,
+        "materials": measured.names,
+    }
+    each = {name: _material(measured.batch([k])) for k, name in enumerate(measured.names)}
+    return facts | (each if len(each) > 1 else each[measured.names[0]])
+
+
+def _material(measured: Measured) -> dict[str, object]:
+    values, valid = measured.values[0], measured.weight[0, :, 0] > 0
+    facts: dict[str, object] = {
+        "samples": len(valid),
+        "valid samples": int(valid.sum()),
+        "lowest value, 1/sr": values[valid].amin(0).tolist(),
+        "highest value, 1/sr": values[valid].amax(0).tolist(),
+        "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist(),
+        "distinctness of image, degrees": _figure(distinctness_of_image(measured)[0].item()),
+        "contrast gloss": _figure(contrast_gloss(measured)[0].item()),
+    }
+    return facts | measured.source.details(measured.materials[0])
+
+
+def _figure(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,64 @@
+"""Two numbers for gloss: distinctness of image, and contrast gloss.
+
+Both are measurements in the plane of incidence, of luminance (Rec. 709 weights of linear RGB). The dimensions are those
+of F. Pellacini, J. Ferwerda, D. Greenberg, Toward a Psychophysically-Based Light Reflection Model for Image Synthesis,
+2000, doi:10.1145/344779.344812. How Fores 2012 measures distinctness of image is not clear from its text ("the angle
+between the specular direction at 30 degrees and a measurement at 0.3 degrees from the specular direction"); the reading
+here gives an angle that is small for sharp lobes, as the paper says it is.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchbrdf.measured.measured import Measured
+from torchbrdf.pairs import Pairs
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+LIGHT = 30.0
+FRACTION = 0.3
+STEP = 0.02
+LARGEST = 119.0
+"""Scanned from the mirror direction over the normal to 89 degrees on the light's side."""
+
+
+def luminance(values: Tensor) -> Tensor:
+    """Rec. 709 luminance of linear RGB, `(..., 3)` to `(...)`."""
+    return values @ values.new_tensor(LUMINANCE)
+
+
+def distinctness_of_image(measured: Measured) -> Tensor:
+    """The angle off the mirror direction at which luminance has fallen to 0.3 of its value there, degrees, `(M,)`.
+
+    The light stands at 30 degrees, and the viewer moves from the mirror direction towards the normal and on. Linear
+    between steps of 0.02 degrees; 119 where it never falls so far, nan where there is no light to begin with. Small
+    for sharp lobes.
+    """
+    off = torch.arange(0, LARGEST + STEP / 2, STEP, dtype=torch.float64)
+    along = _luminance(measured, torch.full_like(off, LIGHT), off - LIGHT)
+    start = along[:, 0]
+    ratio = along / start[:, None]
+    below = ratio <= FRACTION
+    after = below.to(torch.int8).argmax(-1).clamp_min(1)[:, None]
+    high, low = ratio.gather(-1, after - 1), ratio.gather(-1, after)
+    angle = off[after] - STEP * (FRACTION - low) / (high - low)
+    angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST)[:, 0]
+    return torch.where(start > 0, angle, torch.nan)
+
+
+def contrast_gloss(measured: Measured) -> Tensor:
+    """log10 of luminance at 30:30, the mirror direction, over luminance at 45:0, `(M,)`; nan if one is not positive."""
+    light, viewer = torch.tensor([[LIGHT, 45.0], [-LIGHT, 0.0]], dtype=torch.float64)
+    mirror, diffuse = _luminance(measured, light, viewer).clamp_min(0).unbind(-1)
+    ratio = mirror / diffuse
+    return torch.where((mirror > 0) & (diffuse > 0), ratio, torch.nan).log10()
+
+
+def _luminance(measured: Measured, light: Tensor, viewer: Tensor) -> Tensor:
+    """Luminance in the plane of incidence, of angles from the normal towards the light's side, degrees, `(M, N)`."""
+    wi, wo = (
+        torch.stack([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)[None]
+        for angle in (light * (math.pi / 180), viewer * (math.pi / 180))
+    )
+    return luminance(measured.at(Pairs.from_directions(wi, wo)))

@@ -1,0 +1,150 @@
+"""From paths to measured materials: which format a file has is told by its content."""
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import torch
+
+from torchbrdf.errors import DataError
+from torchbrdf.measured.measured import FORMATS, Measured
+
+Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+
+
+def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Measured:
+    """The materials of a file, of several files, or of a folder's files; all of one format.
+
+    A folder gives the files in it that are of a known format, sorted by name, and no others. Names are those of the
+    files, without suffix; where two are the same, with the folder's name in front. Bad input is a DataError.
+    """
+    files = _files(paths)
+    groups = _by_format(files)
+    if len(groups) > 1:
+        found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
+        raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
+    ((name, members),) = groups.items()
+    return _open(name, members, dtype, device)
+
+
+def load_all(
+    paths: Paths,
+    *,
+    bad: list[DataError] | None = None,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> list[Measured]:
+    """As `load`, one Measured for each format found.
+
+    Bad files raise the first DataError; with a list for `bad`, the errors are put there and the other files loaded.
+    """
+    groups = _by_format(_files(paths, bad), bad)
+    if bad is not None:
+        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad))}
+    return [_open(name, members, dtype, device) for name, members in groups.items()]
+
+
+def format_of(path: Path) -> str | None:
+    """The name of a file's format, by its content, else by its suffix; None if it is neither."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    for name, source in FORMATS.items():
+        if head and source.recognises(path, head):
+            return name
+    return next((name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes), None)
+
+
+def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
+    source = FORMATS[name].open(paths)
+    source.names = _unique(source.names, source.paths)
+    return Measured(source, dtype=dtype, device=device)
+
+
+def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+    """Names with the folder in front where they are not unique, and a number behind where that does not help."""
+    count = Counter(names)
+    names = [
+        name if count[name] == 1 else f"{path.resolve().parent.name}-{name}"
+        for name, path in zip(names, paths, strict=True)
+    ]
+    seen: Counter[str] = Counter()
+    made = []
+    for name in names:
+        seen[name] += 1
+        made.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return made
+
+
+def _good(name: str, paths: Sequence[Path], bad: list[DataError]) -> list[Path]:
+    good = []
+    for path in paths:
+        try:
+            FORMATS[name].open([path])
+        except DataError as error:
+            bad.append(error)
+        else:
+            good.append(path)
+    return good
+
+
+def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+    groups: dict[str, list[Path]] = {}
+    for path in paths:
+        try:
+            groups.setdefault(_expect_format(path), []).append(path)
+        except DataError as error:
+            if bad is None:
+                raise
+            bad.append(error)
+    return groups
+
+
+def _expect_format(path: Path) -> str:
+    name = format_of(path)
+    if path.stat().st_size == 0:
+        raise DataError(f"{path}: the file is empty; expected a measured BRDF ({_known()})")
+    if name is None:
+        with path.open("rb") as file:
+            head = file.read(12)
+        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found a file that begins with {head!r}")
+    return name
+
+
+def _files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
+    """The files that paths name, each once."""
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    files: dict[Path, Path] = {}
+    asked = [Path(path) for path in paths]
+    if not asked:
+        raise DataError(f"no file was given; expected measured BRDFs ({_known()})")
+    for path in asked:
+        try:
+            for file in _folder(path) if path.is_dir() else [path]:
+                if not file.is_file():
+                    raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
+                files.setdefault(file.resolve(), file)
+        except DataError as error:
+            if bad is None:
+                raise
+            bad.append(error)
+    return list(files.values())
+
+
+def _folder(path: Path) -> list[Path]:
+    try:
+        inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    known = [file for file in inside if format_of(file)]
+    if not known:
+        raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {len(inside)} files, none of them one")
+    return known
+
+
+def _known() -> str:
+    return ", ".join(" ".join([name, *source.suffixes]) for name, source in FORMATS.items())

@@ -1,0 +1,237 @@
+"""A measured BRDF: values on Pairs, read from their source in the parts that are asked for."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, Literal, NamedTuple, get_args
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.pairs import Pairs
+from torchbrdf.registry import Registry, unknown
+
+Interpolation = Literal["linear", "nearest"]
+
+FORMATS: Registry[type["Source"]] = Registry("format", "torchbrdf.measured")
+
+
+class Lookup(NamedTuple):
+    """Values at some pairs, `(M, N, 3)`, and for how many each material had no valid neighbour, `(M,)`."""
+
+    values: Tensor
+    filled: Tensor
+
+
+class Source(ABC):
+    """The data of M materials in one format. A format is a file with a registered subclass of this.
+
+    `pairs` are the directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`. `suffixes` are those that
+    no other kind of file has: a file so named that is not of the format is a bad one, and not one to pass over.
+    """
+
+    format: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    names: Sequence[str]
+    paths: Sequence[Path]
+    pairs: Pairs
+    stand_in: bool = False
+
+    @classmethod
+    @abstractmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Whether a file is of this format, by its first 64 bytes (and its size)."""
+
+    @classmethod
+    @abstractmethod
+    def open(cls, paths: Sequence[Path]) -> "Source":
+        """Open files that `recognises` said yes to; a DataError names the first that is bad."""
+
+    @abstractmethod
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """Values `(m, n, 3)` and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0."""
+
+    @abstractmethod
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """Values at any pairs, zero below the horizon. dtype and device are the pairs'."""
+
+    def details(self, material: int) -> dict[str, object]:
+        """What only this format can say about one of its materials, by name."""
+        return {}
+
+
+class Samples(Source):
+    """Values that somebody already has as tensors: exactly where they were measured and nowhere else."""
+
+    format = "samples"
+
+    def __init__(self, pairs: Pairs, values: Tensor, weight: Tensor | None, names: Sequence[str] | None) -> None:
+        if values.dim() != 3 or values.shape[-1] != 3 or values.shape[1] != len(pairs):
+            raise ShapeError(f"Measured: expected values (M, {len(pairs)}, 3), found {(*values.shape,)}")
+        if names is not None and len(names) != len(values):
+            raise ShapeError(f"Measured: {len(names)} names for {len(values)} materials")
+        valid = values.isfinite().all(-1, keepdim=True) & pairs.above[..., None]
+        given = torch.ones_like(values[..., :1]) if weight is None else weight.to(values).expand(*values.shape[:2], 1)
+        self.weight = torch.where(valid, given, 0)
+        self.values = torch.where(self.weight > 0, values, 0)
+        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs._map(lambda value, _: value[None])
+        self.names = list(names) if names is not None else [f"material{k}" for k in range(len(values))]
+        self.paths = []
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Never: these do not come from files."""
+        return False
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> "Samples":
+        """Not possible."""
+        raise DataError(f"{paths[0]}: samples do not come from files")
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """The given values and weights."""
+        return self.values[materials][:, samples], self.weight[materials][:, samples]
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """Not possible."""
+        raise DataError(
+            "these samples have no values between their pairs; load a table, or fit a model and render that"
+        )
+
+
+class Measured:
+    """M measured materials on N pairs: `.pairs`, `.values` (M, N, 3) in 1/sr without the cosine, `.weight` (M, N, 1).
+
+    Tables are big: `.values` and `.weight` are read at first use, and `.batch` gives a part that reads only its own.
+    Invalid samples have weight 0 and value 0. `load(paths)` makes one from files, `Measured.from_samples` from tensors.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        materials: Sequence[int] | None = None,
+        samples: Tensor | None = None,
+        max_theta: float = 90.0,
+        dtype: torch.dtype | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        self.source = source
+        self.materials = list(range(len(source.names))) if materials is None else list(materials)
+        self.samples = samples
+        self.max_theta = max_theta
+        self.dtype = dtype or torch.get_default_dtype()
+        self.device = torch.device(device or "cpu")
+
+    @classmethod
+    def from_samples(
+        cls, pairs: Pairs, values: Tensor, weight: Tensor | None = None, names: Sequence[str] | None = None
+    ) -> "Measured":
+        """From tensors: values `(M, N, 3)`; samples that are not finite or below the horizon get weight 0."""
+        return cls(Samples(pairs, values, weight, names), dtype=values.dtype, device=values.device)
+
+    @property
+    def names(self) -> list[str]:
+        """The materials' names."""
+        return [self.source.names[k] for k in self.materials]
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether the values come from a model that stands in for a measurement."""
+        return self.source.stand_in
+
+    def __len__(self) -> int:
+        return len(self.materials)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
+        return f"Measured({self.source.format}: {shown}; {len(self)} materials, {len(self.pairs)} pairs)"
+
+    def _view(self, **changes: object) -> "Measured":
+        state = {name: getattr(self, name) for name in ("materials", "samples", "max_theta", "dtype", "device")}
+        return Measured(self.source, **{**state, **changes})
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Measured":
+        """The same materials on another device or in another dtype."""
+        return self._view(device=device or self.device, dtype=dtype or self.dtype)
+
+    def batch(self, materials: Sequence[int] | None = None, samples: Tensor | None = None) -> "Measured":
+        """Some materials and some samples, by index into these."""
+        chosen = self.materials if materials is None else [self.materials[k] for k in materials]
+        if samples is not None and self.samples is not None:
+            samples = self.samples[samples.to(self.samples.device)]
+        return self._view(materials=chosen, samples=self.samples if samples is None else samples)
+
+    def within(self, max_theta: float) -> "Measured":
+        """Only pairs with both directions at most `max_theta` degrees from the normal.
+
+        Shared pairs beyond are left out; where every material has its own, they get weight 0.
+        """
+        if not 0 < max_theta <= 90:
+            raise ShapeError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
+        limited = self._view(max_theta=min(max_theta, self.max_theta))
+        pairs = self.source.pairs
+        if max_theta < 90 and pairs.shape[0] == 1:
+            keep = self._low(pairs, max_theta)[0]
+            samples = torch.arange(len(pairs)) if self.samples is None else self.samples.cpu()
+            limited.samples = samples[keep[samples]]
+        return limited
+
+    @staticmethod
+    def _low(pairs: Pairs, max_theta: float) -> Tensor:
+        lowest = math.cos(math.radians(max_theta)) - 1e-12
+        return (pairs.cos_i >= lowest) & (pairs.cos_o >= lowest)
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """The directions, `(1, N)` shared by all materials or `(M, N)`."""
+        return self.source.pairs.select(self.materials, self.samples).to(self.device, self.dtype)
+
+    @cached_property
+    def _data(self) -> tuple[Tensor, Tensor]:
+        samples = slice(None) if self.samples is None else self.samples.cpu()
+        shape = (len(self), len(self.source.pairs if self.samples is None else self.samples))
+        values = torch.empty(*shape, 3, dtype=self.dtype, device=self.device)
+        weight = torch.empty(*shape, 1, dtype=self.dtype, device=self.device)
+        for row, material in enumerate(self.materials):  # one at a time, so that only one is ever held in float64
+            values[row], weight[row] = (part[0] for part in self.source.read([material], samples))
+        if self.max_theta < 90 and self.source.pairs.shape[0] > 1:
+            high = ~self._low(self.source.pairs.select(self.materials, self.samples), self.max_theta).to(self.device)
+            values.masked_fill_(high[..., None], 0)
+            weight.masked_fill_(high[..., None], 0)
+        return values, weight
+
+    @property
+    def values(self) -> Tensor:
+        """BRDF values in 1/sr, `(M, N, 3)`."""
+        return self._data[0]
+
+    @property
+    def weight(self) -> Tensor:
+        """1 where a sample is valid, else 0, `(M, N, 1)`."""
+        return self._data[1]
+
+    def at(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Tensor:
+        """Values at any pairs, `(M, N, 3)`, interpolated, zero below the horizon."""
+        return self.lookup(pairs, interpolation).values
+
+    def lookup(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Lookup:
+        """As `at`, with the count of pairs that had no valid neighbour and took the nearest valid value."""
+        if interpolation not in get_args(Interpolation):
+            raise unknown("interpolation", interpolation, get_args(Interpolation))
+        if len(pairs.shape) == 1:
+            pairs = pairs._map(lambda value, _: value[None])
+        if len(pairs.shape) != 2 or pairs.shape[0] not in (1, len(self)):
+            raise ShapeError(f"at: expected pairs ({len(self)} or 1, N), found {(*pairs.shape,)}")
+        return self.source.at(pairs, self.materials, interpolation)
+
+    def diffuse_45_0(self) -> Tensor:
+        """The diffuse albedo pi f(45:0), wi at 45 degrees and wo at the normal, clamped to [0, 1], `(M, 3)`.
+
+        Read at theta_h = theta_d = 22.5 degrees, phi_d = 0.
+        """
+        angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64)
+        value = self.at(Pairs.from_half_diff(angle, angle, torch.zeros_like(angle)))[:, 0]
+        return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)

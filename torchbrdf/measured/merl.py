@@ -1,0 +1,251 @@
+"""MERL tables: isotropic BRDFs on 90 x 90 x 180 bins of half and difference angles.
+
+Source: W. Matusik, H. Pfister, M. Brand, L. McMillan, A Data-Driven Reflectance Model, 2003,
+doi:10.1145/882262.882343; the scales are those of the reading code that comes with the database.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.files import replacing
+from torchbrdf.measured.catalogue import merl_name
+from torchbrdf.measured.grid import chunks, nearest, nearest_valid, neighbours, normalized, weighted_rows
+from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
+from torchbrdf.pairs import Pairs
+
+BINS = (90, 90, 180)
+COUNT = math.prod(BINS)
+HEADER = struct.Struct("<3i")
+BYTES = HEADER.size + 3 * 8 * COUNT
+SCALE = (1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)
+
+FEW = 1 << 15
+"""Up to so many pairs, their neighbours are read from the file; for more, the whole table is."""
+TABLES = 12
+"""Whole tables kept in memory, 23 MB each in float32."""
+
+
+@FORMATS.register("merl")
+class Merl(Source):
+    """MERL `.binary` files: memory-mapped, 35 MB each; only what is asked for is read.
+
+    Bin i covers [i, i+1), and its value is that of its centre: theta_h = ((i+0.5)/90)^2 pi/2, theta_d and phi_d at
+    i+0.5 degrees. `pairs` are the centres of all bins with both directions above the horizon, shared by all
+    materials. An entry is invalid if a channel of it is negative or not finite.
+    """
+
+    format = "merl"
+    suffixes = (".binary",)
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.paths = list(paths)
+        self.names = [path.stem for path in paths]
+        self._table = lru_cache(TABLES)(self._read_table)
+        self._nearest_valid = lru_cache(TABLES)(self._find_nearest_valid)
+
+    @cached_property
+    def pairs(self) -> Pairs:  # type: ignore[override]
+        """The bin centres, `(1, N)`."""
+        return native()
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """By the three dimensions in front, also where they are not quite right, or by the size."""
+        size = path.stat().st_size
+        if len(head) < HEADER.size:
+            return False
+        dims = HEADER.unpack_from(head)
+        plausible = all(0 < n <= 4096 for n in dims) and size == HEADER.size + 24 * math.prod(dims)
+        return size == BYTES or plausible or {90, 180} <= {*dims} <= {90, 180, 360}
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> "Merl":
+        """Open tables; DataError for wrong dimensions, a wrong size, or no valid entry."""
+        source = cls(paths)
+        for material in range(len(paths)):
+            source._check(material)
+        return source
+
+    def _check(self, material: int) -> None:
+        path = self.paths[material]
+        with path.open("rb") as file:
+            head = file.read(HEADER.size)
+        size = path.stat().st_size
+        if len(head) < HEADER.size:
+            raise DataError(f"{path}: expected a MERL table of {BYTES} bytes, found {size}")
+        dims = HEADER.unpack(head)
+        if dims != BINS:
+            hint = ""
+            if sorted(dims) == sorted(BINS):
+                hint = "; they are swapped"
+            elif dims == (90, 90, 360):
+                hint = "; MERL tables have phi_d up to 180 degrees only"
+            raise DataError(
+                f"{path}: header: expected {_by(BINS)} bins (theta_h, theta_d, phi_d), found {_by(dims)}{hint}"
+            )
+        if size != BYTES:
+            what = "truncated" if size < BYTES else "too long"
+            raise DataError(f"{path}: {what}: expected {BYTES} bytes, found {size}")
+        entries = self._raw(material).reshape(3, BINS[0], -1)
+        above = _above().reshape(BINS[0], -1)
+        if not any((_valid(entries[:, i]) & above[i]).any() for i in range(BINS[0])):
+            raise DataError(f"{path}: no valid entry: all {COUNT} are negative, not finite or below the horizon")
+
+    def raw(self, material: int) -> np.ndarray:
+        """The entries as the file has them, not scaled, read-only and memory-mapped, `(3, 90, 90, 180)`."""
+        return self._raw(material).reshape(3, *BINS)
+
+    def _raw(self, material: int) -> np.ndarray:
+        path = self.paths[material]
+        try:
+            return np.asarray(np.memmap(path, "<f8", "r", HEADER.size, (3, COUNT)))
+        except (OSError, ValueError) as error:
+            raise DataError(f"{path}: cannot be mapped any more: {error}") from None
+
+    def _rows(self, material: int, bins: np.ndarray | slice, dtype: type = np.float64) -> np.ndarray:
+        """Values and validity of some bins, `(n, 4)`, as `grid` describes them."""
+        part = [channel[bins] for channel in self._raw(material)]
+        valid = _valid(part) & _above()[bins]
+        rows: np.ndarray = np.empty((len(valid), 4), dtype)
+        for channel, scale in enumerate(SCALE):
+            np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
+        rows[:, 3] = 1
+        rows[~valid] = 0
+        return rows
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """Values and weights at the bin centres, float64; only these bins are read."""
+        bins = _native_rows()[samples].numpy()
+        rows = torch.from_numpy(np.stack([self._rows(material, bins) for material in materials]))
+        return rows[..., :3], rows[..., 3:]
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """Trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
+
+        phi_d is mirrored at its ends (reciprocity and isotropy: bin -1 is bin 0, bin 180 is bin 179); theta_h and
+        theta_d keep the value of the last bin beyond its centre. Without a valid neighbour it is the value of the
+        nearest valid bin.
+        """
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        filled = torch.zeros(len(materials), dtype=torch.int64, device=pairs.device)
+        few = len(pairs) <= FEW
+        for part, chunk in chunks(pairs):
+            for row, material in enumerate(materials):
+                if row < pairs.shape[0]:
+                    own = chunk.select([row])
+                    above = own.above[0]
+                    position = _position(own)
+                    centre = nearest(position, BINS)
+                    if interpolation == "nearest":
+                        index, weight = centre[:, None], torch.ones_like(position[0])[:, None]
+                    else:
+                        index, weight = neighbours(position, BINS)
+                found, missing = normalized(self._weighted(material, index, weight, few))
+                missing &= above
+                if missing.any():
+                    place = self._nearest_valid(material)[centre[missing].cpu().numpy()]
+                    found[missing] = torch.from_numpy(self._rows(material, place)[:, :3]).to(found)
+                    filled[row] += missing.sum()
+                values[row, part] = torch.where(above[:, None], found, 0)
+        return Lookup(values, filled)
+
+    def _weighted(self, material: int, index: Tensor, weight: Tensor, few: bool) -> Tensor:
+        if not few:
+            return weighted_rows(self._table(material, weight.dtype, weight.device), index, weight)
+        rows = torch.from_numpy(self._rows(material, index.flatten().cpu().numpy())).to(weight)
+        return (rows.view(*index.shape, 4) * weight[..., None]).sum(1)
+
+    def _read_table(self, material: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+        rows = self._rows(material, slice(None), np.float64 if dtype == torch.float64 else np.float32)
+        return torch.from_numpy(rows).to(device, dtype)
+
+    def _find_nearest_valid(self, material: int) -> np.ndarray:
+        return nearest_valid((_valid(self._raw(material)) & _above()).reshape(BINS))
+
+    def details(self, material: int) -> dict[str, object]:
+        """The shares of invalid entries, and the name that MERL gave the file, if it is one of theirs."""
+        valid, above = _valid(self._raw(material)), _above()
+        return {
+            "invalid share of all bins": float((~(valid & above)).mean()),
+            "invalid share of bins above the horizon": float((~valid[above]).mean()),
+            "MERL's own": merl_name(self.paths[material]) or "no: the checksum is none of MERL's",
+        }
+
+
+def write_merl(path: str | Path, values: np.ndarray | Tensor) -> None:
+    """Write a MERL table from values in 1/sr, `(90, 90, 180, 3)`, without the cosine; NaN or negative is invalid.
+
+    Reading gives the same doubles bit for bit where the format can say them, which is so for all values that were
+    read from a MERL table; as a product with the scale is rounded, other values may come back one rounding off.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape != (*BINS, 3):
+        raise ShapeError(f"{path}: expected values (90, 90, 180, 3), found {values.shape}")
+    valid = _valid(np.moveaxis(values, -1, 0))
+    raw = np.full((3, *BINS), -1.0)
+    for channel, scale in enumerate(SCALE):
+        wanted = values[..., channel][valid]
+        entry = wanted / scale
+        for toward in (-np.inf, np.inf):
+            near = np.nextafter(entry, toward)
+            entry = np.where((entry * scale != wanted) & (near * scale == wanted), near, entry)
+        raw[channel][valid] = entry
+    write_raw(path, raw)
+
+
+def write_raw(path: str | Path, raw: np.ndarray) -> None:
+    """Write a MERL table from entries as `Merl.raw` gives them, `(3, 90, 90, 180)`: bit for bit the same file."""
+    if raw.shape != (3, *BINS):
+        raise ShapeError(f"{path}: expected entries (3, 90, 90, 180), found {raw.shape}")
+    with replacing(path) as part, part.open("wb") as file:
+        file.write(HEADER.pack(*BINS))
+        file.write(np.ascontiguousarray(raw, "<f8").data)
+
+
+@lru_cache(1)
+def native() -> Pairs:
+    """The centres of the bins with both directions above the horizon, `(1, N)`, in the order of the table."""
+    place = np.nonzero(_above().reshape(BINS))
+    return Pairs.from_half_diff(
+        *(torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(), place, strict=True))
+    )
+
+
+@lru_cache(1)
+def _native_rows() -> Tensor:
+    return torch.from_numpy(np.flatnonzero(_above()))
+
+
+@lru_cache(1)
+def _above() -> np.ndarray:
+    """Whether both directions of each bin's centre are above the horizon, `(K,)`."""
+    h, d, phi = np.ix_(*_centres())
+    return (np.cos(h) * np.cos(d) > np.sin(h) * np.sin(d) * np.abs(np.cos(phi))).reshape(-1)
+
+
+def _centres() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    h, d, phi = (np.arange(size) + 0.5 for size in BINS)
+    return (h / 90) ** 2 * (math.pi / 2), d / 90 * (math.pi / 2), phi / 180 * math.pi
+
+
+def _position(pairs: Pairs) -> list[Tensor]:
+    """Fractional bins, 0 at the centre of bin 0, of `(1, N)` pairs."""
+    theta_h = (pairs.theta_h[0] * (2 / math.pi)).sqrt() * 90
+    return [theta_h - 0.5, pairs.theta_d[0] * (180 / math.pi) - 0.5, pairs.phi_d[0] * (180 / math.pi) - 0.5]
+
+
+def _valid(channels: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """Where all channels are finite and not negative."""
+    return np.logical_and.reduce([(entries >= 0) & (entries < np.inf) for entries in channels])
+
+
+def _by(dims: Sequence[int]) -> str:
+    return " x ".join(str(n) for n in dims)

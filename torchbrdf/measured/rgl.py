@@ -1,0 +1,229 @@
+"""RGL measurements: isotropic BRDFs sampled where they are bright, through a warp that the file brings along.
+
+Source: J. Dupuy, W. Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, 2018,
+doi:10.1145/3272127.3275059; the database is at https://rgl.epfl.ch/materials.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError
+from torchbrdf.measured.grid import chunks, interpolate, nearest_valid, neighbours, weighted_rows
+from torchbrdf.measured.grid import nearest as nearest_row
+from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
+from torchbrdf.measured.tensor_file import MAGIC, TensorFile
+from torchbrdf.measured.warp import Warp
+from torchbrdf.pairs import Pairs
+
+LOWEST = math.cos(math.radians(89))
+"""The least cosine that a stored value is divided by: interpolated towards the horizon, f cos does not quite vanish."""
+HORIZON = 1e-5
+"""Up to this cosine theta_i is 90 degrees, at which nothing can be measured: those values repeat the angle before."""
+TABLES = 32
+"""Materials whose tables for `at` are kept, up to 6 MB each in float32."""
+
+
+class Material:
+    """One file, checked. A stored value is `spectrum = f cos_o 4 sigma(theta_i) / D(h)`, which hardly varies.
+
+    theta_i is the elevation of wi, on a few angles; of wo the file knows the half vector, in coordinates
+    u = (sqrt(2 theta_h / pi), (phi_h - phi_i + pi) / 2pi), spread evenly by the warp of `vndf`, the density of visible
+    normals. `spectrum` lies on a grid of the evened coordinates, `(T, R, R, 3)`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        file = TensorFile(path)
+        if "rgb" not in file.fields and "spectra" in file.fields:
+            raise DataError(f"{path}: expected the field 'rgb', found 'spectra'; take the database's _rgb file")
+        directions = file.fields["phi_i"].shape if "phi_i" in file.fields else (1,)
+        if directions != (1,):
+            raise DataError(f"{path}: expected an isotropic material (one phi_i), found phi_i {directions}")
+        theta = file.array("theta_i", [None])
+        size = len(theta)
+        if size < 2 or not (theta[0] >= 0 and theta[-1] < math.pi / 2 + 1e-6 and (np.diff(theta) > 0).all()):
+            raise DataError(f"{path}: theta_i: expected angles that grow from 0 to pi/2, found {theta[:16]}")
+        density = self._density(file, "vndf", [1, size, None, None])[0]
+        spectrum = file.array("rgb", [1, size, 3, None, None])[0]
+        if min(spectrum.shape[2:]) < 2:
+            raise DataError(f"{path}: rgb: expected a grid of 2 x 2 or more, found {spectrum.shape[2:]}")
+        self.finite = np.isfinite(spectrum).all(1)
+        if not self.finite.any():
+            raise DataError(f"{path}: rgb: no finite value")
+        self.theta = torch.from_numpy(theta)
+        self.warp = Warp(torch.from_numpy(density))
+        self.spectrum = torch.from_numpy(np.where(self.finite[..., None], np.moveaxis(spectrum, 1, -1), 0))
+        self.normals = torch.from_numpy(self._density(file, "ndf", [None, None]))
+        self.visible = torch.from_numpy(self._density(file, "sigma", [None, None]))
+        self.has_factor = bool(file.array("jacobian", [1], "u")[0])
+
+    @staticmethod
+    def _density(file: TensorFile, name: str, shape: Sequence[int | None]) -> np.ndarray:
+        value = file.array(name, shape)
+        if min(value.shape[-2:]) < 2:
+            raise DataError(f"{file.path}: {name}: expected a grid of 2 x 2 or more, found {value.shape[-2:]}")
+        if not (np.isfinite(value).all() and (value >= 0).all() and (value.sum((-2, -1)) > 0).all()):
+            raise DataError(f"{file.path}: {name}: expected finite values of at least 0 with a sum above 0")
+        return value
+
+    def factor(self, theta_i: Tensor, x: Tensor, y: Tensor, cos_o: Tensor) -> Tensor:
+        """What f is in units of the stored value: D(h) / (4 sigma cos_o), where the file keeps D apart."""
+        if not self.has_factor:
+            return 1 / cos_o.clamp_min(LOWEST)
+        visible = _bilinear(self.visible, _theta_to_unit(theta_i), torch.full_like(theta_i, 0.5))
+        return _bilinear(self.normals, x, y) / (4 * visible * cos_o.clamp_min(LOWEST))
+
+    def samples(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """wi and wo `(n, 3)`, f `(n, 3)` and validity `(n,)` where f was measured: every theta_i, every grid node."""
+        height, width = self.spectrum.shape[1:3]
+        u, v = (torch.linspace(0, 1, size, dtype=torch.float64) for size in (width, height))
+        x, y = self.warp.sample(u, v).flatten(1, 2).unbind(-1)
+        theta_h, phi_h = x.square() * (math.pi / 2), (2 * y - 1) * math.pi
+        half = torch.stack([theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos()], -1)
+        wi = torch.stack([self.theta.sin(), torch.zeros_like(self.theta), self.theta.cos()], -1)[:, None]
+        toward = (wi * half).sum(-1, keepdim=True)
+        wi, wo = wi.expand_as(half), 2 * toward * half - wi
+        factor = self.factor(self.theta[:, None].expand_as(x), x, y, wo[..., 2])
+        f = self.spectrum.flatten(1, 2) * factor[..., None]
+        valid = (wi[..., 2] > HORIZON) & (wo[..., 2] > 0) & (toward[..., 0] > 0) & f.isfinite().all(-1)
+        valid &= torch.from_numpy(self.finite).flatten(1)
+        f = torch.where(valid[..., None], f, 0)
+        return wi.flatten(0, 1), wo.flatten(0, 1), f.flatten(0, 1), valid.flatten()
+
+
+@FORMATS.register("rgl")
+class Rgl(Source):
+    """RGL `.bsdf` files, isotropic, RGB. A name is the file's without `_rgb`, which tells it from the spectral file.
+
+    `pairs` are the directions of every measured value, wi at the file's theta_i, `(M, N)`; shorter files are padded
+    with weight 0, as are directions below the horizon (what the file says there is extrapolated, and that it is so
+    its field `valid` agrees with the warp) and theta_i = 90 degrees. Negative channels, colours out of gamut, are kept.
+
+    The stored values contain cos_o: of two directions at 15 and 65 degrees the quotient f(a, b) / f(b, a) of plain
+    stored values is that of the cosines, and the albedo of white paper, 0.79 to 0.97, is their integral without a
+    further cosine. Here f is without it.
+    """
+
+    format = "rgl"
+    suffixes = (".bsdf",)
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.paths = list(paths)
+        self.names = [path.stem.removesuffix("_rgb") for path in paths]
+        self._files = [Material(path) for path in paths]
+        self._tables = lru_cache(TABLES)(self._make_tables)
+        self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """By the first 12 bytes."""
+        return head.startswith(MAGIC)
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> "Rgl":
+        """Read and check files; DataError for anything that is not an isotropic RGB measurement."""
+        return cls(paths)
+
+    @cached_property
+    def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
+        """Pairs `(M, N)`, values `(M, N, 3)` and weights `(M, N, 1)`."""
+        files = [file.samples() for file in self._files]
+        wi, wo, values, valid = (
+            torch.nn.utils.rnn.pad_sequence(list(part), batch_first=True) for part in zip(*files, strict=True)
+        )
+        padding = wi.square().sum(-1) == 0
+        wi[..., 2] += padding
+        wo[..., 2] += padding
+        return Pairs.from_directions(wi, wo), values, valid[..., None].double()
+
+    @cached_property
+    def pairs(self) -> Pairs:  # type: ignore[override]
+        """Where the values were measured, `(M, N)`."""
+        return self._samples[0]
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """The measured values and their weights, float64."""
+        _, values, weight = self._samples
+        return values[materials][:, samples], weight[materials][:, samples]
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """Through the file's warp, from the stored values around (theta_i, u): trilinear, or the nearest.
+
+        wi takes the place of the file's incident direction; a measurement is not exactly reciprocal.
+        """
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        filled = torch.zeros(len(materials), dtype=torch.int64, device=pairs.device)
+        for part, chunk in chunks(pairs):
+            for row, material in enumerate(materials):
+                if row < pairs.shape[0]:
+                    own = chunk.select([row])
+                    above, cos_o = own.above[0], own.cos_o[0]
+                    theta_i, x, y = _coordinates(own)
+                file = self._files[material]
+                cells, table = self._tables(material, pairs.dtype, pairs.device)
+                place = _fractional(file.theta.to(theta_i), theta_i)
+                if interpolation == "nearest":
+                    place = place.round()
+                u, v = file.warp.invert(cells, place, x, y)
+                shape = file.spectrum.shape[:3]
+                position = [place, v * (shape[1] - 1), u * (shape[2] - 1)]
+                found, missing = interpolate(table, position, shape, interpolation)
+                missing &= above
+                if missing.any():
+                    centre = nearest_row([axis[missing] for axis in position], shape).cpu().numpy()
+                    entries = torch.from_numpy(self._nearest_finite(material)[centre]).to(pairs.device)
+                    found[missing] = table[entries, :3]
+                    filled[row] += missing.sum()
+                found = found * file.factor(theta_i, x, y, cos_o)[:, None]
+                values[row, part] = torch.where(above[:, None], found, 0)
+        return Lookup(values, filled)
+
+    def _make_tables(self, material: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+        file = self._files[material]
+        finite = torch.from_numpy(file.finite).to(file.spectrum)[..., None]
+        table = torch.cat([file.spectrum, finite], -1).flatten(0, 2)
+        return file.warp.cells().to(device, dtype), table.to(device, dtype)
+
+    def details(self, material: int) -> dict[str, object]:
+        """How many valid samples have a negative channel, and the share of negative stored values in each channel."""
+        _, values, weight = self._samples
+        negative = (values[material] < 0).any(-1) & (weight[material, :, 0] > 0)
+        stored = self._files[material].spectrum
+        return {
+            "samples with a negative channel": int(negative.sum()),
+            "share of stored values that are negative": (stored < 0).double().mean((0, 1, 2)).tolist(),
+        }
+
+
+def _coordinates(pairs: Pairs) -> tuple[Tensor, Tensor, Tensor]:
+    """theta_i and the unit coordinates of the half vector, `(N,)` each, of `(1, N)` pairs."""
+    wi, wo = pairs.wi[0], pairs.wo[0]
+    radius = (wi[:, 0].square() + wi[:, 1].square()).sqrt()
+    theta_i = torch.atan2(radius, wi[:, 2])
+    ix, iy = torch.where(radius > 0, wi[:, 0], 1), wi[:, 1]
+    hx, hy = wi[:, 0] + wo[:, 0], wi[:, 1] + wo[:, 1]
+    phi = torch.atan2(ix * hy - iy * hx, ix * hx + iy * hy)
+    return theta_i, _theta_to_unit(pairs.theta_h[0]), (phi + math.pi) / (2 * math.pi)
+
+
+def _theta_to_unit(theta: Tensor) -> Tensor:
+    return (theta * (2 / math.pi)).sqrt()
+
+
+def _fractional(knots: Tensor, value: Tensor) -> Tensor:
+    """The fractional index of values among growing knots; beyond them that of the last."""
+    low = (torch.searchsorted(knots, value.contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
+    return low + ((value - knots[low]) / (knots[low + 1] - knots[low])).clamp(0, 1)
+
+
+def _bilinear(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """A grid `(H, W)` at positions in the unit square, of any shape."""
+    height, width = grid.shape
+    table = grid.to(x).reshape(-1, 1)
+    index, weight = neighbours([y.flatten() * (height - 1), x.flatten() * (width - 1)], [height, width])
+    return weighted_rows(table, index, weight).reshape(x.shape)

@@ -1,0 +1,91 @@
+"""Fitted models in the place of measurements: the records of a `fits.json`, on MERL's bins."""
+
+import importlib.resources
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, TorchbrdfError
+from torchbrdf.lobes import Sum, model_of, read_fits
+from torchbrdf.measured.grid import chunks
+from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
+from torchbrdf.measured.merl import native
+from torchbrdf.pairs import Pairs
+
+
+@FORMATS.register("fits")
+class StandIn(Source):
+    """Materials that are models: each record of a `fits.json` gives one, and its values are the model's, anywhere.
+
+    `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
+    says that they are stand-ins. A material with several fits in a file is named with the model, lobes and loss.
+    """
+
+    format = "fits"
+    stand_in = True
+
+    def __init__(self, records: list[dict[str, Any]], paths: Sequence[Path]) -> None:
+        self.records = records
+        self.paths = list(paths)
+        materials = [record["material"] for record in records]
+        self.names = [
+            record["material"] if materials.count(record["material"]) == 1 else _full_name(record) for record in records
+        ]
+        self.pairs = native()
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """By the bracket of a list of objects."""
+        return b"".join(head.split()).startswith(b"[{")
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> "StandIn":
+        """Read records; a DataError says what is wrong with which."""
+        records: list[dict[str, Any]] = []
+        origin: list[Path] = []
+        for path in paths:
+            found = read_fits(path)
+            for k, record in enumerate(found):
+                try:
+                    model_of([record])
+                except (TorchbrdfError, TypeError, RuntimeError) as error:
+                    raise DataError(f"{path}: fit {k}: {error}") from None
+            records += found
+            origin += [path] * len(found)
+        return cls(records, origin)
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """The models' values on these bins, float64."""
+        values = self.at(self.pairs.select(samples=samples), materials, "linear").values
+        return values, torch.ones_like(values[..., :1])
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """The models' values; there is nothing to interpolate."""
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        with torch.no_grad():
+            for rows, model in self._models(materials):
+                model = model.to(pairs.device, pairs.dtype)
+                for part, chunk in chunks(pairs):
+                    own = chunk if pairs.shape[0] == 1 else chunk.select(rows)
+                    values[rows, part] = model(own)
+        return Lookup(values, torch.zeros(len(materials), dtype=torch.int64, device=pairs.device))
+
+    def _models(self, materials: list[int]) -> list[tuple[list[int], Sum]]:
+        """Batched models, one for each kind of model, and which of `materials` they are."""
+        kinds: dict[tuple[str, int], list[int]] = {}
+        for row, material in enumerate(materials):
+            record = self.records[material]
+            kinds.setdefault((record["model"], record["lobes"]), []).append(row)
+        return [(rows, model_of([self.records[materials[row]] for row in rows])) for rows in kinds.values()]
+
+
+def standins() -> Path:
+    """The bundled stand-ins of the paper's ten materials, for `load`; assets/README.md says how they were made."""
+    return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
+
+
+def _full_name(record: dict[str, Any]) -> str:
+    return "-".join([record["material"], record["model"], str(record["lobes"]), str(record.get("loss", ""))])

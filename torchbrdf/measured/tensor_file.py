@@ -1,0 +1,91 @@
+"""Reader of `tensor_file` version 1, the container of the RGL database: named arrays behind a table of contents.
+
+    magic  "tensor_file\\0"      12 bytes
+    version 1, 0                 2 bytes
+    number of fields             uint32
+    for each field: length of its name uint16, the name, number of dimensions uint16, type uint8, offset uint64,
+                    size of each dimension uint64
+
+Source: W. Jakob and J. Dupuy, https://github.com/rgl-epfl/brdf-loader. All numbers are little-endian.
+"""
+
+import math
+import mmap
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from torchbrdf.errors import DataError
+
+MAGIC = b"tensor_file\0"
+TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
+
+
+class Field(NamedTuple):
+    """Where an array lies in the file."""
+
+    dtype: np.dtype
+    offset: int
+    shape: tuple[int, ...]
+
+
+class TensorFile:
+    """The fields of one file: `fields` says what there is, `array` copies one. Nothing else is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with path.open("rb") as file:
+                size = path.stat().st_size
+                self._bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+        try:
+            self.fields = dict(self._contents())
+        except struct.error:
+            raise DataError(f"{path}: truncated: the file ends inside its table of contents, at {size} bytes") from None
+
+    def _contents(self) -> list[tuple[str, Field]]:
+        where, end = 0, len(self._bytes)
+
+        def take(layout: str) -> tuple:
+            nonlocal where
+            found = struct.unpack_from(f"<{layout}", self._bytes, where)
+            where += struct.calcsize(f"<{layout}")
+            return found
+
+        magic, major, minor, count = take("12sBBI")
+        if magic != MAGIC or (major, minor) != (1, 0):
+            raise DataError(f"{self.path}: expected {MAGIC!r} version 1.0, found {magic!r} version {major}.{minor}")
+        fields: dict[str, Field] = {}
+        for _ in range(count):
+            (length,) = take("H")
+            name = take(f"{length}s")[0].decode("ascii", "backslashreplace")
+            dims, kind, offset = take("HBQ")
+            if kind not in TYPES or dims > 8 or name in fields:
+                raise DataError(f"{self.path}: field {name!r}: unknown type {kind}, {dims} dimensions, or named twice")
+            field = Field(np.dtype(f"<{TYPES[kind]}"), offset, take(f"{dims}Q"))
+            stop = offset + math.prod(field.shape) * field.dtype.itemsize
+            if stop > end:
+                raise DataError(f"{self.path}: truncated: field {name!r} ends at byte {stop}, the file at {end}")
+            fields[name] = field
+        return list(fields.items())
+
+    def array(self, name: str, shape: Sequence[int | None], kind: str = "f") -> np.ndarray:
+        """A copy of a field, as float64 if its type is of the kind "f"; None in `shape` is any size above 0."""
+        if name not in self.fields:
+            raise DataError(f"{self.path}: expected a field {name!r}, found {', '.join(map(repr, self.fields))}")
+        field = self.fields[name]
+        fits = len(field.shape) == len(shape) and all(
+            have == want if want is not None else have > 0 for have, want in zip(field.shape, shape, strict=False)
+        )
+        if not fits or field.dtype.kind != kind:
+            wanted = ", ".join("n" if want is None else str(want) for want in shape)
+            found = f"{field.shape} of {field.dtype}"
+            raise DataError(f"{self.path}: field {name!r}: expected ({wanted}) of kind {kind!r}, found {found}")
+        flat = np.frombuffer(self._bytes, field.dtype, math.prod(field.shape), field.offset)
+        with np.errstate(invalid="ignore"):  # a signalling nan becomes a quiet one
+            return flat.reshape(field.shape).astype(np.float64 if kind == "f" else field.dtype)

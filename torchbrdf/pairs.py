@@ -1,0 +1,236 @@
+"""Pairs of incident and outgoing directions, with the cosines that BRDFs need, computed once."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import ShapeError
+
+Index = Tensor | slice | list[int] | None
+
+
+class Pairs:
+    """N pairs of unit directions, `wi` to the light and `wo` to the viewer, for M materials or shared by all.
+
+    Both directions point away from the surface; the normal is +z and the tangent +x. Every quantity has the shape
+    `(..., N)` (`wi` and `wo`: `(..., N, 3)`), usually `(M, N)`, or `(1, N)` where all materials share the pairs.
+    Angles are in radians: Rusinkiewicz' half and difference angles, theta_h and theta_d in [0, pi/2], phi_d in
+    [0, pi). Quantities that were not given are derived at first use and kept. dtype and device are the inputs'.
+
+    tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1.
+
+    Source: S. Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation, 1998,
+    doi:10.1007/978-3-7091-6453-2_2.
+    """
+
+    def __init__(self, **known: Tensor) -> None:
+        self._known = known
+
+    @classmethod
+    def from_directions(cls, wi: Tensor, wo: Tensor) -> "Pairs":
+        """From unit vectors `(..., N, 3)` that broadcast against each other."""
+        if wi.shape[-1:] != (3,) or wo.shape[-1:] != (3,):
+            raise ShapeError(f"Pairs: expected directions (..., N, 3), found wi {(*wi.shape,)} and wo {(*wo.shape,)}")
+        wi, wo = torch.broadcast_tensors(wi, wo)
+        half = wi + wo
+        square = half.square()
+        horizontal = square[..., 0] + square[..., 1]
+        length = (horizontal + square[..., 2]).sqrt()
+        return cls(
+            wi=wi,
+            wo=wo,
+            cos_i=wi[..., 2],
+            cos_o=wo[..., 2],
+            cos_h=half[..., 2] / _positive(length),
+            cos_d=length / 2,
+            tan2_h=horizontal / _positive(square[..., 2]),
+        )
+
+    @classmethod
+    def from_half_diff(cls, theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> "Pairs":
+        """From half and difference angles in radians, `(..., N)` each."""
+        theta_h, theta_d, phi_d = torch.broadcast_tensors(theta_h, theta_d, phi_d)
+        sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
+        even, odd = cos_h * cos_d, sin_h * sin_d * phi_d.cos()
+        return cls(
+            theta_h=theta_h,
+            theta_d=theta_d,
+            phi_d=phi_d,
+            cos_i=even - odd,
+            cos_o=even + odd,
+            cos_h=cos_h,
+            cos_d=cos_d,
+            tan2_h=(sin_h / _positive(cos_h)).square(),
+        )
+
+    @classmethod
+    def from_cosines(
+        cls,
+        cos_i: Tensor,
+        cos_o: Tensor | None = None,
+        cos_h: Tensor | None = None,
+        cos_d: Tensor | None = None,
+        tan2_h: Tensor | None = None,
+    ) -> "Pairs":
+        """From the cosines that somebody already has, `(..., N)` each; what is missing is refused when asked for."""
+        given = {"cos_i": cos_i, "cos_o": cos_o, "cos_h": cos_h, "cos_d": cos_d, "tan2_h": tan2_h}
+        return cls(**{name: value for name, value in given.items() if value is not None})
+
+    def _get(self, name: str) -> Tensor:
+        value = self._known.get(name)
+        if value is None:
+            value = self._known[name] = self._derive(name)
+        return value
+
+    def _derive(self, name: str) -> Tensor:
+        known = self._known
+        if name == "above":
+            return (self.cos_i > 0) & (self.cos_o > 0)
+        if name == "tan2_h" and "cos_h" in known:
+            square = self.cos_h.square()
+            return (1 - square).clamp_min(0) / _positive(square)
+        if name == "theta_h" and ("tan2_h" in known or "cos_h" in known):
+            return torch.atan2(self.tan2_h.sqrt(), torch.ones_like(self.tan2_h))
+        if name == "theta_d" and "wi" in known:
+            return torch.atan2((self.wi - self.wo).norm(dim=-1), (self.wi + self.wo).norm(dim=-1))
+        if name == "theta_d" and "cos_d" in known:
+            return torch.atan2((1 - self.cos_d.square()).clamp_min(0).sqrt(), self.cos_d)
+        if name == "phi_d" and "wi" in known:
+            return _phi_d(self.wi, self.wo)
+        if name in ("wi", "wo") and "phi_d" in known:
+            wi, wo = _directions(self.theta_h, self.theta_d, self.phi_d)
+            return wi if name == "wi" else wo
+        raise ShapeError(f"Pairs: {name} is needed, but only {', '.join(sorted(known))} were given")
+
+    @property
+    def cos_i(self) -> Tensor:
+        """Cosine of the angle between the normal and the light."""
+        return self._get("cos_i")
+
+    @property
+    def cos_o(self) -> Tensor:
+        """Cosine of the angle between the normal and the viewer."""
+        return self._get("cos_o")
+
+    @property
+    def cos_h(self) -> Tensor:
+        """Cosine of the angle between the normal and the half vector."""
+        return self._get("cos_h")
+
+    @property
+    def cos_d(self) -> Tensor:
+        """Cosine of the angle between the half vector and either direction."""
+        return self._get("cos_d")
+
+    @property
+    def tan2_h(self) -> Tensor:
+        """Squared tangent of theta_h."""
+        return self._get("tan2_h")
+
+    @property
+    def theta_h(self) -> Tensor:
+        """Angle between the normal and the half vector."""
+        return self._get("theta_h")
+
+    @property
+    def theta_d(self) -> Tensor:
+        """Angle between the half vector and either direction."""
+        return self._get("theta_d")
+
+    @property
+    def phi_d(self) -> Tensor:
+        """Azimuth of the light about the half vector, folded into [0, pi) by reciprocity."""
+        return self._get("phi_d")
+
+    @property
+    def wi(self) -> Tensor:
+        """Unit vectors to the light, `(..., N, 3)`."""
+        return self._get("wi")
+
+    @property
+    def wo(self) -> Tensor:
+        """Unit vectors to the viewer, `(..., N, 3)`."""
+        return self._get("wo")
+
+    @property
+    def above(self) -> Tensor:
+        """Whether both directions are above the horizon."""
+        return self._get("above")
+
+    @property
+    def shape(self) -> torch.Size:
+        """`(..., N)`."""
+        return self.cos_i.shape
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """dtype of every quantity."""
+        return self.cos_i.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Device of every quantity."""
+        return self.cos_i.device
+
+    def __len__(self) -> int:
+        return self.shape[-1]
+
+    def __repr__(self) -> str:
+        return f"Pairs({(*self.shape,)}, {self.dtype}, {self.device}, known: {', '.join(sorted(self._known))})"
+
+    def _map(self, change: Callable[[Tensor, bool], Tensor]) -> "Pairs":
+        return Pairs(**{name: change(value, name in ("wi", "wo")) for name, value in self._known.items()})
+
+    def select(self, materials: Index = None, samples: Index = None) -> "Pairs":
+        """The pairs of some materials (ignored where all share the pairs) and some samples."""
+
+        def pick(value: Tensor, vector: bool) -> Tensor:
+            sample_dim = value.dim() - (2 if vector else 1)
+            if materials is not None and sample_dim > 0 and value.shape[0] > 1:
+                value = take(value, materials, 0)
+            return value if samples is None else take(value, samples, sample_dim)
+
+        return self._map(pick)
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Pairs":
+        """The same pairs on another device or in another floating-point dtype."""
+        return self._map(lambda value, _: value.to(device, None if value.dtype == torch.bool else dtype))
+
+
+def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
+    """The part of one dimension that a slice (as a view), a list or an index tensor names."""
+    if isinstance(index, slice):
+        return value[(slice(None),) * dim + (index,)]
+    return value.index_select(dim, torch.as_tensor(index, device=value.device))
+
+
+def _positive(x: Tensor) -> Tensor:
+    """x, with 0 replaced by the smallest normal number, so that a quotient stays finite or honestly huge."""
+    tiny = torch.finfo(x.dtype).tiny
+    return torch.where(x.abs() < tiny, tiny, x)
+
+
+def _phi_d(wi: Tensor, wo: Tensor) -> Tensor:
+    """Azimuth of wi in the frame whose z is the half vector and whose x lies in the plane of h and the normal."""
+    h = wi + wo
+    radius = (h[..., 0].square() + h[..., 1].square()).sqrt()
+    length = _positive((radius.square() + h[..., 2].square()).sqrt())
+    at_pole = radius == 0
+    cos_p = torch.where(at_pole, 1.0, h[..., 0] / _positive(radius))
+    sin_p = torch.where(at_pole, 0.0, h[..., 1] / _positive(radius))
+    along = cos_p * wi[..., 0] + sin_p * wi[..., 1]
+    across = cos_p * wi[..., 1] - sin_p * wi[..., 0]
+    phi = torch.atan2(across, (along * h[..., 2] - wi[..., 2] * radius) / length)
+    phi = torch.where(phi < 0, phi + math.pi, phi)
+    return torch.where(phi >= math.pi, torch.zeros_like(phi), phi)
+
+
+def _directions(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> tuple[Tensor, Tensor]:
+    """wi and wo, with the half vector in the plane of x and z."""
+    sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
+    x, y = sin_d * phi_d.cos(), sin_d * phi_d.sin()
+    wi = torch.stack([cos_h * x + sin_h * cos_d, y, cos_h * cos_d - sin_h * x], -1)
+    wo = torch.stack([sin_h * cos_d - cos_h * x, -y, cos_h * cos_d + sin_h * x], -1)
+    return wi, wo

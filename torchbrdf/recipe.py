@@ -1,0 +1,164 @@
+"""Recipes: what a run does, with typed settings, a folder that holds all of it, and a log."""
+
+import dataclasses
+import importlib.util
+import json
+import platform
+import sys
+import time
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.files import write_text
+from torchbrdf.registry import Registry, unknown
+
+RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The settings of a run. A recipe is a file with a registered frozen dataclass that extends this one.
+
+    Every field has a type and a default, and `field(metadata={"help": ...})` where its name does not say enough;
+    `__post_init__` refuses values that cannot be. `steps` does the work and returns the report's path.
+    """
+
+    name: ClassVar[str]
+
+    quick: bool = dataclasses.field(default=False, metadata={"help": "a small version, to see that all works"})
+    seed: int = dataclasses.field(default=0, metadata={"help": "seed of everything that is drawn at random"})
+
+    def steps(self, folder: "RunFolder") -> Path:
+        """Do the work in this folder."""
+        raise NotImplementedError
+
+
+class RunFolder:
+    """The folder of a run: its path, a log, and progress for whoever watches."""
+
+    def __init__(self, path: Path, progress: "Progress | None" = None) -> None:
+        self.path = path
+        self.progress = progress or quiet
+        self._began = time.perf_counter()
+
+    def log(self, line: str) -> None:
+        """Add a line to log.txt."""
+        with (self.path / "log.txt").open("a", encoding="utf-8") as log:
+            log.write(f"{time.perf_counter() - self._began:8.1f} s  {line}\n")
+
+
+# progress(label, total) gives a function that is called with the number of things done since the last call.
+Progress = Callable[[str, int], Callable[[int], None]]
+
+
+def quiet(label: str, total: int) -> Callable[[int], None]:
+    """A progress that shows nothing."""
+    return lambda done: None
+
+
+def find_recipe(name: str) -> type[Recipe]:
+    """A recipe by its registered name, or by the path of a Python file that holds one."""
+    if not name.endswith(".py"):
+        return RECIPES[name]
+    path = Path(name)
+    if not path.is_file():
+        raise UsageError(f"recipe {name}: no such file")
+    spec = importlib.util.spec_from_file_location(f"torchbrdf_recipe_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"recipe {name}: expected a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    found = [
+        thing
+        for thing in vars(module).values()
+        if isinstance(thing, type) and issubclass(thing, Recipe) and thing.__module__ == spec.name
+    ]
+    if len(found) != 1:
+        raise UsageError(f"recipe {name}: expected one subclass of Recipe, found {len(found)}")
+    return found[0]
+
+
+def configure(kind: type[Recipe], settings: Mapping[str, str]) -> Recipe:
+    """A recipe with some settings given as text, as on the command line: typed, and unknown ones refused."""
+    hints = typing.get_type_hints(kind)
+    known = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    values = {}
+    for key, text in settings.items():
+        if key not in known:
+            raise unknown(f"setting of {kind.name}", key, known)
+        values[key] = parse(text, known[key], f"{kind.name}: {key}")
+    return kind(**values)
+
+
+def parse(text: str, expected: Any, where: str) -> Any:
+    """A value of the expected type (bool, int, float, str, a tuple of one of them, or that or None) from text."""
+    if typing.get_origin(expected) in (types.UnionType, typing.Union):
+        options = typing.get_args(expected)
+        if text.lower() == "none" and type(None) in options:
+            return None
+        return parse(text, next(option for option in options if option is not type(None)), where)
+    if typing.get_origin(expected) is tuple:
+        inner = typing.get_args(expected)[0]
+        return tuple(parse(part.strip(), inner, where) for part in text.split(",") if part.strip())
+    if expected is bool:
+        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+        if text.lower() not in words:
+            raise UsageError(f"{where}: expected true or false, found {text!r}")
+        return words[text.lower()]
+    try:
+        return expected(text)
+    except ValueError:
+        raise UsageError(f"{where}: expected {expected.__name__}, found {text!r}") from None
+
+
+def describe(kind: type[Recipe]) -> str:
+    """The settings of a recipe with their defaults, a line each."""
+    lines = [f"{kind.name}: {(kind.__doc__ or '').splitlines()[0]}"]
+    for field in dataclasses.fields(kind):
+        default = ",".join(field.default) if isinstance(field.default, tuple) else str(field.default)
+        lines.append(f"  {f'{field.name}={default}':40s} {field.metadata.get('help', '')}".rstrip())
+    return "\n".join(lines)
+
+
+def versions() -> dict[str, str]:
+    """The versions that a result depends on."""
+    from importlib.metadata import version
+
+    names = ("torchbrdf", "torch", "kornia", "numpy", "scipy", "trimesh", "OpenEXR", "matplotlib")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+
+
+def run(recipe: Recipe, out: Path | str, progress: Progress | None = None) -> Path:
+    """Run a recipe in the folder `out` and return the path of its report.
+
+    The folder gets `recipe.json`, with everything needed to repeat the run. Running the same recipe again in the same
+    folder takes up what is finished and does only the rest; a folder of another recipe is refused.
+    """
+    out = Path(out)
+    settings = json.loads(json.dumps(dataclasses.asdict(recipe)))
+    record = {"recipe": recipe.name, "settings": settings, "versions": versions()}
+    stored = out / "recipe.json"
+    if stored.exists():
+        try:
+            before = json.loads(stored.read_text(encoding="utf-8"))
+        except ValueError:
+            raise DataError(f"{stored}: expected JSON; remove the folder or choose another") from None
+        changed = [key for key in ("recipe", "settings", "versions") if before.get(key) != record[key]]
+        if changed:
+            raise UsageError(
+                f"{out}: holds a run with other {' and '.join(changed)}; choose another folder, or remove it"
+            )
+    elif out.is_dir() and any(out.iterdir()):
+        raise UsageError(f"{out}: expected an empty folder or one of an earlier run, found other files")
+    write_text(stored, json.dumps(record, indent=1) + "\n")
+    folder = RunFolder(out, progress)
+    folder.log(f"{recipe.name} begins")
+    report = recipe.steps(folder)
+    folder.log(f"{recipe.name} is done: {report.name}")
+    return report

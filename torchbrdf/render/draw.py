@@ -1,0 +1,71 @@
+"""From a BRDF and a scene to a picture."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import zip_longest
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import UsageError
+from torchbrdf.lobes import Lobe
+from torchbrdf.measured import Measured
+from torchbrdf.pairs import Pairs
+from torchbrdf.render.scene import Chunk, Scene
+from torchbrdf.render.workers import each
+
+# Measured tables that are open at once.
+_TABLES = 12
+
+Shader = Callable[[Pairs], Tensor]
+Brdf = Lobe | Measured | Shader
+Progress = Callable[[int, int], None]
+
+
+def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
+    """Linear pictures `(M, size, size, 3)`, float32, 0 where there is no object; without gradients.
+
+    brdf: a Lobe (batched or not), a Measured, anything that gives values `(m, N, 3)` or `(N, 3)` on Pairs, or several
+    of those, whose pictures follow each other; geometry and light are then worked out once for all. `progress(done,
+    total)` is called as the work goes on.
+    """
+    brdfs = list(brdf) if isinstance(brdf, Sequence) else [brdf]
+    if not brdfs:
+        raise UsageError("render: expected at least one BRDF, found none")
+    runs = list(zip_longest(*(_shaders(one) for one in brdfs), fillvalue=()))
+    pictures: list[list[Tensor]] = [[] for _ in brdfs]
+    done, total = 0, 2 * len(runs) * int(scene.mask.sum())
+    for run in runs:
+        shaders = [(owner, shader) for owner, own in enumerate(run) for shader in own]
+        drawn: list[Tensor] = []
+        for pixel, parts in each(partial(_light, [shader for _, shader in shaders]), scene.jobs()):
+            drawn = drawn or [torch.zeros(len(part), scene.size**2, 3) for part in parts]
+            for picture, part in zip(drawn, parts, strict=True):
+                picture[:, pixel] += part
+            done += len(pixel)
+            if progress is not None:
+                progress(done, total)
+        for (owner, _), picture in zip(shaders, drawn, strict=True):
+            pictures[owner].append(picture)
+    return torch.cat([picture for own in pictures for picture in own]).unflatten(1, (scene.size, scene.size))
+
+
+def _light(shaders: list[Shader], job: Callable[[], Chunk]) -> tuple[Tensor, list[Tensor]]:
+    """The pixels of one chunk, and for each shader what it adds to them, `(m, p, 3)`."""
+    pixel, pairs, weight = job()
+    values = (shader(pairs).reshape(-1, *weight.shape) for shader in shaders)
+    return pixel, [torch.stack([(own * weight).sum(1) for own in several]) for several in values]
+
+
+def _shaders(brdf: Brdf) -> list[list[Shader]]:
+    """What to evaluate, for each run over the scene: tables are big, so only some are open in a run.
+
+    A batched lobe is taken apart, because the values of many materials at once would not fit a processor's cache.
+    """
+    if isinstance(brdf, Measured):
+        rows = range(len(brdf))
+        return [[brdf.batch(rows[start : start + _TABLES]).at] for start in rows[::_TABLES]]
+    if isinstance(brdf, Lobe):
+        packed = brdf.pack().to(torch.float32)
+        return [[brdf.unpack(row).to("cpu", torch.float32) for row in packed.reshape(-1, packed.shape[-1])]]
+    return [[brdf]]

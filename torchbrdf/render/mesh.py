@@ -1,0 +1,154 @@
+"""What is drawn: triangle meshes with smooth normals; the sphere, and the project's own blob."""
+
+import importlib.resources
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchbrdf.errors import DataError
+
+# Bumps (above 0) and hollows (below 0) of the blob: direction, height, concentration.
+_BUMPS = np.array(
+    [
+        (0.15, 1.00, 0.20, 0.34, 5.0),
+        (-0.85, 0.50, 0.35, 0.38, 7.0),
+        (0.75, 0.45, 0.55, 0.34, 8.0),
+        (-0.15, -0.10, 1.00, 0.30, 9.0),
+        (0.30, -0.85, 0.55, 0.36, 7.0),
+        (-0.75, -0.60, 0.30, 0.36, 7.0),
+        (0.95, -0.30, -0.10, 0.36, 7.0),
+        (0.45, 0.50, -0.80, 0.34, 6.0),
+        (-0.45, 0.15, -0.95, 0.36, 6.0),
+        (0.15, -0.60, -0.80, 0.36, 6.0),
+        (0.25, 0.45, 0.90, -0.12, 14.0),
+        (-0.70, -0.05, 0.75, -0.14, 12.0),
+        (0.50, -0.20, 0.85, -0.14, 12.0),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with smooth normals: vertices `(V, 3)`, faces `(F, 3)`, unit normals `(V, 3)` pointing outward.
+
+    The vertical axis is +y.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Mesh":
+        """Read any file that trimesh reads.
+
+        Without normals in the file they are averaged over the faces around a vertex, vertices at one place merged; a
+        vertex whose faces cancel takes the normal of one of them. Faces without area are dropped, and a closed mesh
+        that is inside out is turned.
+        """
+        import trimesh  # late, because it takes longer to import than the rest of this package
+
+        path = Path(path)
+        if not path.is_file():
+            raise DataError(f"{path}: expected a mesh, found no such file")
+        try:
+            scene: Any = trimesh.load_scene(str(path), process=False)
+            parts = scene.dump() if len(scene.graph.nodes_geometry) != 1 else [_only_part(scene)]
+        except Exception as error:  # its readers raise whatever comes up in a damaged file
+            raise DataError(f"{path}: not a readable mesh: {' '.join(str(error).split())}") from None
+        parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+        if not parts:
+            raise DataError(f"{path}: expected a mesh of triangles, found no faces")
+        mesh: Any = parts[0] if len(parts) == 1 else trimesh.util.concatenate(parts)
+        if not np.isfinite(mesh.vertices).all():
+            raise DataError(f"{path}: a vertex is not finite")
+        if not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+            raise DataError(f"{path}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}")
+        with_area = mesh.area_faces > 0
+        if not with_area.any():
+            raise DataError(f"{path}: all {len(mesh.faces)} faces have no area")
+        if not with_area.all():
+            mesh.update_faces(with_area)
+        if "vertex_normals" not in mesh._cache:
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        if mesh.is_watertight and mesh.volume < 0:
+            mesh.invert()
+        faces, normals = np.array(mesh.faces, np.int64), np.array(mesh.vertex_normals, np.float64)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        of_a_face = np.zeros_like(normals)
+        of_a_face[faces] = mesh.face_normals[:, None]
+        normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), of_a_face)
+        return cls(np.array(mesh.vertices, np.float64), faces, normals)
+
+    def save(self, path: str | Path) -> None:
+        """Write a binary PLY with normals, single precision."""
+        names = ("x", "y", "z", "nx", "ny", "nz")
+        properties = "".join(f"property float {name}\n" for name in names)
+        header = (
+            f"ply\nformat binary_little_endian 1.0\nelement vertex {len(self.vertices)}\n{properties}"
+            f"element face {len(self.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        faces = np.empty(len(self.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+        faces["count"], faces["corners"] = 3, self.faces
+        vertices = np.hstack([self.vertices, self.normals]).astype("<f4")
+        Path(path).write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+
+    @property
+    def bounding_sphere(self) -> tuple[np.ndarray, float]:
+        """The middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
+        center = (self.vertices.min(0) + self.vertices.max(0)) / 2
+        return center, float(np.linalg.norm(self.vertices - center, axis=1).max())
+
+
+def _only_part(scene: Any) -> Any:
+    """The one part of a scene in its place. dump() would do, but forgets the normals of the file."""
+    transform, name = scene.graph[scene.graph.nodes_geometry[0]]
+    return scene.geometry[name].apply_transform(transform)
+
+
+def sphere(levels: int = 6) -> Mesh:
+    """The unit sphere: an octahedron divided `levels` times, 8 * 4^levels faces, with exact normals."""
+    vertices, faces = _octahedral_sphere(levels)
+    return Mesh(vertices, faces, vertices.copy())
+
+
+def blob() -> Mesh:
+    """The project's blob, from `assets/blob.ply`: convex and concave, as in P. Vangorp et al., The Influence of Shape
+    on the Perception of Material Reflectance, 2007, doi:10.1145/1275808.1276473, where such a shape told materials
+    apart best. `make_blob` made it."""
+    with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "blob.ply") as path:
+        return Mesh.load(path)
+
+
+def make_blob(levels: int = 6) -> Mesh:
+    """A sphere d -> r(d) d with r = 1 + sum of a exp(k (d.c - 1)), smooth bumps a > 0 and hollows a < 0 about axes c.
+
+    Star-shaped, so it cannot cut through itself. The normal is r d - grad r, with grad r along the sphere.
+    """
+    directions, faces = _octahedral_sphere(levels)
+    axes = _BUMPS[:, :3] / np.linalg.norm(_BUMPS[:, :3], axis=1, keepdims=True)
+    height, concentration = _BUMPS[:, 3], _BUMPS[:, 4]
+    along = directions @ axes.T
+    bumps = height * np.exp(concentration * (along - 1))
+    radius = 1 + bumps.sum(1, keepdims=True)
+    slopes = bumps * concentration
+    gradient = slopes @ axes - (slopes * along).sum(1, keepdims=True) * directions
+    normals = radius * directions - gradient
+    return Mesh(radius * directions, faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _octahedral_sphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
+    vertices = np.vstack([np.eye(3), -np.eye(3)])
+    faces = np.array([(x, y, z) if (x + y + z) % 2 else (x, z, y) for x in (0, 3) for y in (1, 4) for z in (2, 5)])
+    for _ in range(levels):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges, index = np.unique(edges, axis=0, return_inverse=True)
+        middles = vertices[edges].sum(1)
+        ab, bc, ca = (len(vertices) + index.reshape(-1, 3)).T
+        a, b, c = faces.T
+        vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+        corners = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        faces = np.concatenate([np.stack(corner, -1) for corner in corners])
+    return vertices, faces

@@ -1,0 +1,134 @@
+"""The report's figures, drawn with matplotlib."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from torchbrdf.files import replacing
+from torchbrdf.images import DIFFERENCES
+from torchbrdf.lobes import model_of
+from torchbrdf.measured import Measured
+from torchbrdf.pairs import Pairs
+
+STAND_IN = "stand-in materials, not measurements"
+COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
+INCIDENT = (15.0, 30.0, 45.0, 60.0)
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+}
+
+
+def gloss_figure(
+    path: Path, names: Sequence[str], doi: Sequence[float], contrast: Sequence[float], stand_in: bool
+) -> None:
+    """Figure 1: distinctness of image and contrast gloss, materials sorted by the first."""
+    order = np.argsort(doi)
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(9, 0.28 * len(names) + 1.6), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        rows = np.arange(len(names))
+        left.barh(rows, np.asarray(doi)[order], color="#4c72b0")
+        left.set(
+            xscale="log", xlabel="distinctness of image: degrees off the mirror direction\nat 0.3 of its luminance"
+        )
+        left.set_yticks(rows, [names[k] for k in order])
+        left.invert_yaxis()
+        right.barh(rows, np.asarray(contrast)[order], color="#dd8452")
+        right.set_xlabel("contrast gloss: log10 of luminance\nat 30:30 over 45:0")
+        _mark(figure, stand_in)
+        _save(figure, path)
+
+
+def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]]) -> None:
+    """Figure 4's plots for one material and model: cube roots of the BRDF in the plane of incidence, green channel.
+
+    One panel for each incident angle against the outgoing angle, and one that magnifies the lobe at 30 degrees: the
+    angle off the mirror direction on a logarithmic scale.
+    """
+    material = group.batch([group.names.index(records[0]["material"])])
+    model = model_of(list(records))
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(11, 2.6), layout="constrained")
+        panels = figure.subplots(1, len(INCIDENT) + 1)
+        for panel, incident in zip(panels, INCIDENT, strict=False):
+            off = np.concatenate([-np.geomspace(150, 0.02, 150), np.geomspace(0.02, 80, 100)])
+            outgoing = incident + off
+            outgoing = outgoing[np.abs(outgoing) < 85]
+            _curves(panel, material, model, records, incident, outgoing, outgoing)
+            panel.set(title=f"light at {incident:.0f}°", xlabel="viewer, degrees")
+            panel.axvline(incident, color="grey", lw=0.5, ls=":")
+        off = np.geomspace(0.05, 90, 200)
+        _curves(panels[-1], material, model, records, 30.0, 30.0 - off, off)
+        panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror direction", xscale="log")
+        panels[0].set_ylabel("cube root of f (green)")
+        panels[-1].legend(fontsize=7, frameon=False)
+        _mark(figure, group.stand_in)
+        _save(figure, path)
+
+
+def quality_figure(
+    path: Path, order: Sequence[str], records: Sequence[dict[str, Any]], models: Sequence[str], losses: Sequence[str],
+    difference: str, stand_in: bool,
+) -> None:  # fmt: skip
+    """An image difference of every fit, one panel a model, materials by rising DoI; outliers in a black rectangle."""
+    kind = DIFFERENCES[difference]
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(4.2 * len(models), 3.6), layout="constrained")
+        panels = np.atleast_1d(figure.subplots(1, len(models), sharey=True))
+        for panel, model in zip(panels, models, strict=True):
+            for loss in losses:
+                own = {r["material"]: r for r in records if r["model"] == model and r["loss"] == loss}
+                values = [own[name]["differences"][difference] for name in order]
+                panel.plot(range(len(order)), values, "o-", ms=4, lw=1, color=COLORS.get(loss), label=loss)
+                for k, name in enumerate(order):
+                    if own[name]["outlier"]:
+                        panel.plot(k, values[k], "s", ms=10, mfc="none", mec="black")
+            panel.set_title(model.replace("_", "-"))
+            panel.set_xticks(range(len(order)), order, rotation=60, ha="right")
+        better = "higher" if kind.higher_is_better else "lower"
+        panels[0].set_ylabel(f"{kind.__name__}{' in ' + kind.unit if kind.unit else ''} ({better} is better)")
+        panels[-1].legend(frameon=False)
+        _mark(figure, stand_in)
+        _save(figure, path)
+
+
+def _curves(
+    panel: Any, material: Measured, model: Any, records: Sequence[dict[str, Any]], incident: float,
+    outgoing: np.ndarray, x: np.ndarray,
+) -> None:  # fmt: skip
+    """Cube roots of the green channel, measured and fitted, with the mirror direction at +incident."""
+    pairs = in_plane(incident, outgoing)
+    with torch.no_grad():
+        fitted = model(pairs.to(dtype=torch.float32))
+    panel.plot(x, np.cbrt(material.at(pairs)[0, :, 1].clamp_min(0).numpy()), color="black", lw=1.6, label="measured")
+    for record, values in zip(records, fitted, strict=True):
+        loss = record["loss"]
+        panel.plot(x, np.cbrt(values[:, 1].numpy()), lw=1, color=COLORS.get(loss), label=loss)
+
+
+def in_plane(incident: float, outgoing: np.ndarray) -> Pairs:
+    """Pairs in the plane of incidence, angles in degrees; the mirror direction is outgoing = incident. `(1, N)`."""
+    light, viewer = math.radians(incident), torch.from_numpy(np.radians(outgoing))
+    wi = torch.tensor([-math.sin(light), 0.0, math.cos(light)], dtype=torch.float64).expand(1, len(outgoing), 3)
+    wo = torch.stack([viewer.sin(), torch.zeros_like(viewer), viewer.cos()], -1)[None]
+    return Pairs.from_directions(wi, wo)
+
+
+def _mark(figure: Figure, stand_in: bool) -> None:
+    if stand_in:
+        figure.suptitle(STAND_IN, fontsize=8, color="grey", x=0.99, ha="right")
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")

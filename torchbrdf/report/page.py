@@ -1,0 +1,254 @@
+"""report.html: one self-contained page."""
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from torchbrdf.files import write_text
+from torchbrdf.measured import contrast_gloss, distinctness_of_image
+from torchbrdf.report import numbers
+from torchbrdf.report.figures import gloss_figure, profile_figure, quality_figure
+from torchbrdf.report.study import SHOWN_DIFFERENCES, Study, picture
+
+# The paper's Figure 4 shows this material; its profile is unfolded.
+UNFOLDED = "alum-bronze"
+DIFFERENCE = "delta_e76"
+DIFFERENCE_LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "delta_e76": "ΔE 76"}
+LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table."""
+
+    text: str
+    best: bool = False
+    outlier: bool = False
+
+
+def write_report(study: Study, title: str, light: str, turn: float, record: str, problems: Sequence[str]) -> Path:
+    """Draw the figures and write `report.html` for a study whose fits and pictures are done; gives its path."""
+    folder = study.folder.path
+    gloss = {
+        name: figures
+        for group in study.groups
+        for name, *figures in zip(
+            group.names, distinctness_of_image(group).tolist(), contrast_gloss(group).tolist(), strict=True
+        )
+    }
+    order = sorted(gloss, key=lambda name: gloss[name][0])
+    stand_in = any(group.stand_in for group in study.groups)
+    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
+
+    figures = folder / "figures"
+    doi, contrast = zip(*(gloss[name] for name in order), strict=True)
+    gloss_figure(figures / "gloss.png", order, doi, contrast, stand_in)
+    quality_figure(figures / "delta_e.png", order, shown, study.models, study.losses, DIFFERENCE, stand_in)
+    advance = study.folder.progress("figures", len(order) * len(study.models))
+    unfolded = UNFOLDED if UNFOLDED in order else order[0]
+    rows: dict[str, list[dict[str, Any]]] = {model: [] for model in study.models}
+    for name in order:
+        group = next(group for group in study.groups if name in group.names)
+        for model in study.models:
+            path = figures / f"profile-{name}-{model}.png"
+            profile_figure(path, group, [study.record(name, model, loss) for loss in study.losses])
+            rows[model].append(_row(study, name, model) | {"profile": _png(path), "open": name == unfolded})
+            advance(1)
+    template = Environment(
+        loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    ).get_template("page.html")
+    page = template.render(
+        title=title,
+        materials=order,
+        models=[{"label": _model(model), "rows": rows[model]} for model in study.models],
+        losses=[{"label": _loss(loss)} for loss in study.losses],
+        columns=len(study.losses) + 2,
+        lobes=study.lobes[0],
+        strategy=study.strategy,
+        diffuse=study.diffuse,
+        max_theta=f"{study.max_theta:g}",
+        samples=f"a stratified subset of {study.samples}" if study.samples else "all of them",
+        stand_in=stand_in,
+        problems=problems,
+        findings=findings(study, order),
+        gloss=_png(figures / "gloss.png"),
+        quality=_png(figures / "delta_e.png"),
+        tables=[
+            *_error_tables(study, order),
+            _difference_table(study, order),
+            _agreement_table(study),
+            *_lobes_table(study),
+        ],
+        tone=study.tone,
+        light=light,
+        turn=f"{turn:g}",
+        record=record,
+    )
+    path = folder / "report.html"
+    write_text(path, page)
+    return path
+
+
+def findings(study: Study, order: Sequence[str]) -> list[str]:
+    """What the numbers say, in sentences. Sharp are the half of the materials with the smaller DoI."""
+    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
+    sharp = set(order[: (len(order) + 1) // 2])
+    lines = []
+    for label, part in (
+        ("sharper", [r for r in shown if r["material"] in sharp]),
+        ("broader", [r for r in shown if r["material"] not in sharp]),
+    ):
+        if part:
+            counts = numbers.best_counts(part, study.losses, DIFFERENCE)
+            total = sum(counts.values())
+            said = ", ".join(f"{_loss(loss)} {counts[loss]}" for loss in study.losses)
+            means = ", ".join(f"{_loss(x)} {numbers.mean_difference(part, x, DIFFERENCE):.2f}" for x in study.losses)
+            lines.append(
+                f"Of the {total} fits of a material and a model among the {label} half, the picture with the smallest "
+                f"ΔE came from: {said}. Mean ΔE: {means}."
+            )
+    stuck = sum(r["outlier"] for r in shown)
+    by_model = ", ".join(
+        f"{_model(model)} {sum(numbers.outlier_count(shown, model, loss) for loss in study.losses)}"
+        for model in study.models
+    )
+    lines.append(f"{stuck} of {len(shown)} fits are stuck in a local minimum by the paper's test ({by_model}).")
+    odd = [r for r in shown if r["status"] != "converged"]
+    if odd:
+        lines.append(
+            f"{len(odd)} fits did not converge in every stage: "
+            + ", ".join(f"{r['material']} {_model(r['model'])} {_loss(r['loss'])} ({r['status']})" for r in odd[:8])
+            + (", ..." if len(odd) > 8 else ".")
+        )
+    return lines
+
+
+def _row(study: Study, material: str, model: str) -> dict[str, Any]:
+    """The pictures of a material and its fits with one model."""
+    fits = []
+    for loss in study.losses:
+        record = study.record(material, model, loss)
+        fits.append(
+            {
+                "loss": loss,
+                "label": _loss(loss),
+                "image": _small(study.png(picture(material, model, loss))),
+                "outlier": record["outlier"],
+                "delta_e": record["differences"][DIFFERENCE],
+            }
+        )
+    return {
+        "material": material,
+        "reference": _small(study.png(picture(material))),
+        "turned": _small(study.png(picture(material, "turned"))),
+        "fits": fits,
+    }
+
+
+def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
+    """Every error under every metric."""
+    tables = []
+    for model in study.models:
+        head = ["material", *(f"{_loss(m)} of {_loss(f)} fit" for m in study.losses for f in study.losses)]
+        rows = []
+        for name in order:
+            cells = [Cell(name)]
+            for metric in study.losses:
+                own = {loss: study.record(name, model, loss) for loss in study.losses}
+                least = min(own.values(), key=lambda record: record["errors"][metric])
+                cells += [
+                    Cell(f"{own[f]['errors'][metric]:.4g}", own[f] is least, f == metric and own[f]["outlier"])
+                    for f in study.losses
+                ]
+            rows.append(cells)
+        note = (
+            "Three columns for each metric: its error for the fits under each of them. Bold: the least. It should "
+            "be that of the metric's own fit; where it is not, that fit is an outlier and framed."
+        )
+        tables.append({"title": f"Errors, {_model(model)}", "note": note, "head": head, "rows": rows})
+    return tables
+
+
+def _difference_table(study: Study, order: Sequence[str]) -> dict[str, Any]:
+    """Image differences of each fit."""
+    head = [
+        "material",
+        "model",
+        *(f"{DIFFERENCE_LABELS[d]}, {_loss(x)}" for d in SHOWN_DIFFERENCES for x in study.losses),
+    ]
+    rows = []
+    for name in order:
+        for model in study.models:
+            cells = [Cell(name), Cell(_model(model))]
+            for difference in SHOWN_DIFFERENCES:
+                values = [study.record(name, model, loss)["differences"][difference] for loss in study.losses]
+                best = min(values) if difference == DIFFERENCE else max(values)
+                cells += [Cell(f"{value:.3f}", value == best) for value in values]
+            rows.append(cells)
+    note = "Between the picture of each fit and the reference in the same view, over the object. Bold: the best."
+    return {"title": "Image differences", "note": note, "head": head, "rows": rows}
+
+
+def _agreement_table(study: Study) -> dict[str, Any]:
+    """Do the metrics order fits as the image differences do?"""
+    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
+    rows = []
+    for metric in study.losses:
+        values = [numbers.agreement(shown, metric, difference) for difference in SHOWN_DIFFERENCES]
+        counts = [numbers.best_counts(shown, study.losses, difference)[metric] for difference in SHOWN_DIFFERENCES]
+        rows.append([Cell(_loss(metric)), *(Cell(f"{v:.2f}") for v in values), *(Cell(str(c)) for c in counts)])
+    head = ["metric", *(f"agreement with {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES)]
+    head += [f"best by {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES]
+    note = (
+        "Agreement: Spearman's rank correlation between the metric's error and the image difference over all fits of a "
+        "material, averaged over materials; 1 means always the same order. Best: for how many materials and models the "
+        "fit under this metric has the best picture."
+    )
+    return {"title": "Which metric agrees with the pictures", "note": note, "head": head, "rows": rows}
+
+
+def _lobes_table(study: Study) -> list[dict[str, Any]]:
+    """One lobe beside two, where both were fitted."""
+    if len(study.lobes) < 2:
+        return []
+    few, many = study.lobes[:2]
+    rows = []
+    for model in study.models:
+        cells = [Cell(_model(model))]
+        for loss in study.losses:
+            ratios = [
+                study.record(name, model, loss, few)["error"] / study.record(name, model, loss, many)["error"]
+                for name in study.materials
+            ]
+            cells.append(Cell(f"{sum(ratios) / len(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"))
+        rows.append(cells)
+    note = f"Error with {few} lobe divided by the error with {many}, mean and range over the materials."
+    return [
+        {"title": f"{few} lobe or {many}", "note": note, "head": ["model", *map(_loss, study.losses)], "rows": rows}
+    ]
+
+
+def _loss(name: str) -> str:
+    return LOSS_LABELS.get(name, name.replace("_", " "))
+
+
+def _model(name: str) -> str:
+    return "-".join(word.capitalize() for word in name.split("_"))
+
+
+def _png(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+
+
+def _small(path: Path) -> str:
+    """A render as WebP: all of a study's pictures in one page of a few megabytes."""
+    data = io.BytesIO()
+    with Image.open(path) as image:
+        image.save(data, format="WEBP", quality=90)
+    return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()

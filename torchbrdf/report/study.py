@@ -1,0 +1,186 @@
+"""A study: models fitted to materials under losses, scored across them, and drawn. Finished parts are taken up."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import UsageError
+from torchbrdf.fitting import fit, local_minima, score, write_csv
+from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
+from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
+from torchbrdf.losses import LOSSES
+from torchbrdf.measured import Measured
+from torchbrdf.recipe import RunFolder
+from torchbrdf.render import Scene, render
+
+REFERENCE = "reference"
+# Image differences that the report speaks of, by their registered names.
+SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
+
+
+@dataclass
+class Study:
+    """What a study compares, the folder it works in, and its records, one a fit, as in `fits.json`."""
+
+    folder: RunFolder
+    groups: list[Measured]
+    models: Sequence[str]
+    losses: Sequence[str]
+    lobes: Sequence[int] = (2,)
+    strategy: str = "staged"
+    diffuse: str = "45:0"
+    max_theta: float = 80.0
+    samples: int | None = 20_000
+    seed: int = 0
+    records: list[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for name in self.models:
+            LOBES[name]
+        for name in self.losses:
+            LOSSES[name]
+        names = self.materials
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise UsageError(f"materials: {twice[0]!r} comes twice; give each file a name of its own")
+
+    @property
+    def materials(self) -> list[str]:
+        """The names of all materials."""
+        return [name for group in self.groups for name in group.names]
+
+    def record(self, material: str, model: str, loss: str, lobes: int | None = None) -> dict[str, Any]:
+        """The record of one fit."""
+        lobes = self.lobes[0] if lobes is None else lobes
+        return next(
+            record
+            for record in self.records
+            if (record["material"], record["model"], record["loss"], record["lobes"]) == (material, model, loss, lobes)
+        )
+
+    # --- fits -----------------------------------------------------------------------------------------------------
+
+    def fit(self) -> None:
+        """Fit everything that `fits.json` does not hold yet, and score it under every loss."""
+        path = self.folder.path / "fits.json"
+        self.records = read_fits(path) if path.exists() else []
+        total = len(self.materials) * len(self.models) * len(self.losses) * len(self.lobes)
+        advance = self.folder.progress("fits", total)
+        advance(len(self.records))
+        for lobes in self.lobes:
+            for model in self.models:
+                for group in self.groups:
+                    if not self._has(model, lobes, group):
+                        self.records += self._fit(model, lobes, group, advance)
+                        self.save()
+
+    def save(self) -> None:
+        """Write `fits.json` and `fits.csv`."""
+        write_fits(self.folder.path / "fits.json", self.records)
+        write_csv(self.folder.path / "fits.csv", self.records)
+
+    def _has(self, model: str, lobes: int, group: Measured) -> bool:
+        there = {(record["model"], record["lobes"], record["material"]) for record in self.records}
+        return all((model, lobes, name) in there for name in group.names)
+
+    def _fit(self, model: str, lobes: int, group: Measured, advance: Any) -> list[dict[str, Any]]:
+        losses = [LOSSES[name]() for name in self.losses]
+        results = [
+            fit(
+                make_model(model, lobes),
+                group,
+                loss,
+                strategy=self.strategy,
+                diffuse=self.diffuse,
+                max_theta=self.max_theta,
+                samples=self.samples,
+                seed=self.seed,
+                progress=advance,
+            )
+            for loss in losses
+        ]
+        seen = group.within(self.max_theta)
+        cross = torch.stack([score(result.model, seen, losses) for result in results], 1)
+        outliers = local_minima(cross)
+        records = []
+        for b, result in enumerate(results):
+            for m, record in enumerate(result.records()):
+                record["errors"] = {name: cross[a, b, m].item() for a, name in enumerate(self.losses)}
+                record["outlier"] = bool(outliers[b, m])
+                records.append(record)
+            self.folder.log(f"{model}, {lobes} lobes, {result.loss}: {len(result.names)} fits, {result.seconds:.1f} s")
+        return records
+
+    # --- pictures -------------------------------------------------------------------------------------------------
+
+    def draw(self, scene: Scene, turned: Scene) -> None:
+        """Render every material and every fit in one view, and the materials in the turned view of observers.
+
+        Linear pictures are kept as EXR; the tone map is measured over all pictures of the first view, kept in
+        `tonemap.json`, and used for every PNG. Image differences are taken in the first view.
+        """
+        folder = self.folder.path / "renders"
+        folder.mkdir(exist_ok=True)
+        jobs = [job for job in self._jobs(scene, turned) if not all(self.exr(name).exists() for name in job[2])]
+        advance = self.folder.progress("renders", sum(len(names) for _, _, names in jobs))
+        for where, brdf, names in jobs:
+            for name, picture in zip(names, render(brdf, where), strict=True):
+                write_exr(self.exr(name), picture)
+                advance(1)
+            self.folder.log(f"{len(names)} renders: {names[0]} to {names[-1]}")
+        self._compare(scene, turned)
+
+    def exr(self, name: str) -> Any:
+        """Where a linear picture is."""
+        return self.folder.path / "renders" / f"{name}.exr"
+
+    def png(self, name: str) -> Any:
+        """Where a picture for display is."""
+        return self.folder.path / "renders" / f"{name}.png"
+
+    def _jobs(self, scene: Scene, turned: Scene) -> list[tuple[Scene, Any, list[str]]]:
+        """Scenes, what to draw in them, and the pictures' names."""
+        jobs: list[tuple[Scene, Any, list[str]]] = []
+        for group in self.groups:
+            jobs.append((scene, group, [picture(name) for name in group.names]))
+            jobs.append((turned, group, [picture(name, "turned") for name in group.names]))
+        for model in self.models:
+            chosen = [self.record(m, model, loss) for m in self.materials for loss in self.losses]
+            names = [picture(record["material"], model, record["loss"]) for record in chosen]
+            jobs.append((scene, model_of(chosen), names))
+        return jobs
+
+    def _compare(self, scene: Scene, turned: Scene) -> None:
+        chosen = [self.record(m, k, loss) for m in self.materials for k in self.models for loss in self.losses]
+        references = self._read([picture(name) for name in self.materials])
+        fitted = self._read([picture(r["material"], r["model"], r["loss"]) for r in chosen])
+        mask = scene.mask.expand(len(references) + len(fitted), *scene.mask.shape)
+        tone = ToneMap.from_images(torch.cat([references, fitted]), mask)
+        self.tone = tone
+        shown = tone(references)
+        for name, display in zip(self.materials, shown, strict=True):
+            write_png(self.png(picture(name)), over(display, scene.coverage))
+        for name in self.materials:
+            display = tone(self._read([picture(name, "turned")]))[0]
+            write_png(self.png(picture(name, "turned")), over(display, turned.coverage))
+        measures = {name: DIFFERENCES[name]() for name in SHOWN_DIFFERENCES}
+        for record, linear in zip(chosen, fitted, strict=True):
+            display = tone(linear)
+            name = picture(record["material"], record["model"], record["loss"])
+            write_png(self.png(name), over(display, scene.coverage))
+            reference = shown[self.materials.index(record["material"])]
+            record["differences"] = {
+                key: measure(display[None], reference[None], scene.mask).item() for key, measure in measures.items()
+            }
+        self.save()
+
+    def _read(self, names: list[str]) -> Tensor:
+        return torch.stack([read_image(self.exr(name)) for name in names])
+
+
+def picture(material: str, *parts: str) -> str:
+    """The name of a picture, without suffix: of a fit by model and loss, of the material itself without."""
+    return "-".join([material, *(parts or (REFERENCE,))])
