@@ -10,7 +10,7 @@ from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.fitting import FitResult, Status, fit, local_minima, score, stratified, write_csv
 from torchbrdf.lobes import AshikhminShirley, CookTorrance, Lambert, Sum, Ward, make_model, parameters, write_fits
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, RMSLoss
-from torchbrdf.measured import Measured, load
+from torchbrdf.measured import Lookup, Measured, Samples, load
 from torchbrdf.pairs import Pairs
 
 
@@ -21,21 +21,22 @@ def some_pairs(count=3000, seed=0):
     return pairs.select(samples=pairs.above[0].nonzero()[:, 0])
 
 
-def measured_from(model, pairs=None):
-    """A material that the model itself makes, whose 45:0 reading is the model's."""
-    pairs = pairs or some_pairs()
-    values = model(pairs).detach()
-    values = values if values.dim() == 3 else values[None]
-    made = Measured.from_samples(pairs, values)
-    made.source.at = lambda at, materials, interpolation: _lookup(model(at).detach(), materials)
-    return made
+class Made(Samples):
+    """Samples of a batched model, which also knows its values elsewhere."""
+
+    def __init__(self, model, pairs):
+        self.model = model
+        super().__init__(pairs, model(pairs).detach(), None, None)
+
+    def at(self, pairs, materials, interpolation):
+        values = self.model(pairs).detach()[materials]
+        return Lookup(values, torch.zeros(len(materials), dtype=torch.int64))
 
 
-def _lookup(values, materials):
-    from torchbrdf.measured import Lookup
-
-    values = values if values.dim() == 3 else values[None]
-    return Lookup(values[materials], torch.zeros(len(materials), dtype=torch.int64))
+def measured_from(model, pairs=None, materials=1):
+    """Materials that the model itself makes, whose 45:0 reading is the model's."""
+    made = Made(model.batched(materials), pairs or some_pairs())
+    return Measured(made, dtype=made.values.dtype)
 
 
 TRUTHS = {
@@ -86,7 +87,7 @@ def test_the_stages_are_the_papers():
 
 
 def test_diffuse_fit_moves_the_diffuse_albedo():
-    truth = Sum(Lambert(albedo=[0.5, 0.3, 0.1]), Ward(specular=0.3, roughness=0.08)).double()
+    truth = Sum(Lambert(albedo=[0.5, 0.3, 0.1]), Ward(specular=0.3, roughness=0.3)).double()
     measured = measured_from(truth)
     held, free = (
         fit(make_model("ward", 1), measured, CosineRMSLoss(), diffuse=d, samples=None) for d in ("45:0", "fit")
@@ -105,14 +106,8 @@ def test_bounds_hold():
 
 
 def test_one_bad_material_is_reported_and_the_others_are_fitted():
-    pairs = some_pairs(800)
-    good = TRUTHS["ward"].double()(pairs)[0].detach()
-    weight = torch.ones(3, len(pairs), 1, dtype=torch.float64)
-    weight[1] = 0
-    measured = Measured.from_samples(pairs, torch.stack([good, torch.full_like(good, torch.nan), good]), weight)
-    measured.source.at = lambda at, materials, how: _lookup(
-        torch.stack([TRUTHS["ward"].double()(at).detach()] * 3), materials
-    )
+    measured = measured_from(TRUTHS["ward"].double(), some_pairs(800), materials=3)
+    measured.source.weight[1] = 0
     result = fit(make_model("ward", 1), measured, CosineRMSLoss(), samples=None)
     assert result.status[1] == Status.NO_DATA
     assert result.error[1].isnan()
@@ -121,10 +116,8 @@ def test_one_bad_material_is_reported_and_the_others_are_fitted():
 
 
 def test_an_all_black_material_is_fitted_by_black():
-    pairs = some_pairs(500)
-    measured = Measured.from_samples(pairs, torch.zeros(1, len(pairs), 3, dtype=torch.float64))
-    measured.source.at = lambda at, materials, how: _lookup(torch.zeros(1, len(at), 3, dtype=torch.float64), materials)
-    result = fit(make_model("ward", 1), measured, CosineRMSLoss(), samples=None)
+    black = Sum(Lambert(albedo=0.0), Ward(specular=0.0)).double()
+    result = fit(make_model("ward", 1), measured_from(black, some_pairs(500)), CosineRMSLoss(), samples=None)
     assert result.error.item() < 1e-6
 
 

@@ -92,13 +92,15 @@ def minimize(
     memory: int = 40,
     gradient_tolerance: float = 1e-6,
     value_tolerance: float = 1e-9,
+    negligible: float = 1e-12,
 ) -> Solution:
     """Minimise M independent functions of P variables within bounds.
 
     start, lower, upper: `(M, P)`, float64; bounds may be `(P,)`. Each problem has its own memory, line search and
     end; those that have ended leave the batch, so that `objective` is called for ever fewer. A problem has converged
     when no component of its projected gradient exceeds gradient_tolerance, or when neither a step nor another along the
-    gradient lowers its value by value_tolerance, relative to it, and no more is to be expected. A variable at a bound
+    gradient lowers its value by value_tolerance and no more is to be expected, all relative to the value's magnitude
+    plus `negligible`. A variable at a bound
     with the gradient pointing outward is held there during a step (Bertsekas 1982, doi:10.1137/0320018); L-BFGS as in
     Nocedal and Wright, Numerical Optimization, ch. 7.
     """
@@ -122,7 +124,8 @@ def minimize(
 
     rows = finish(everyone, ~(value.isfinite() & gradient.isfinite().all(-1)), Status.NOT_FINITE)
     for _ in range(max_iterations):
-        projected = (x - gradient).clamp(lower, upper) - x
+        size = value.abs() + negligible
+        projected = (x - gradient / size[:, None]).clamp(lower, upper) - x
         rows = finish(rows, projected[rows].abs().amax(-1) <= gradient_tolerance, Status.CONVERGED)
         if not len(rows):
             break
@@ -141,11 +144,11 @@ def minimize(
         history.push(done, (x1 - x0)[accepted], (g1 - g0)[accepted])
         # A search that fails or gains nothing is tried once more along the gradient, with an empty memory.
         gained = torch.zeros_like(accepted)
-        gained[accepted] = (f0 - f1)[accepted] > value_tolerance * f0[accepted].abs()
+        gained[accepted] = (f0 - f1)[accepted] > value_tolerance * size[rows][accepted]
         ended = ~gained & fresh[rows]
         history.forget(rows[~gained])
         fresh[rows] = ~gained
-        minimum = accepted | (promise <= RESOLUTION * f0.abs())
+        minimum = accepted | (promise <= RESOLUTION * size[rows])
         finish(rows, ended & minimum, Status.CONVERGED)
         finish(rows, ended & ~minimum, Status.STALLED)
         rows = rows[~ended]

@@ -1,10 +1,6 @@
 """Pictures in files: OpenEXR and Radiance in, OpenEXR and PNG out."""
 
-import os
 import re
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +10,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.files import replacing
 
 # No picture needs more; a header that says more is damaged, and believing it would fill the memory.
 LARGEST_SIDE = 32768
@@ -50,14 +47,14 @@ def write_exr(path: str | Path, image: Tensor) -> None:
     precision = torch.float16 if image.dtype == torch.float16 else torch.float32
     pixels = np.ascontiguousarray(_picture(image).to(precision).numpy())
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         OpenEXR.File(header, {"RGB": pixels}).write(str(temporary))
 
 
 def write_png(path: str | Path, image: Tensor) -> None:
     """Write display values in [0, 1], `(H, W, 3)`, rounded to 8 bits. The file appears when it is complete."""
     pixels = (_picture(image).to(torch.float32).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")
 
 
@@ -65,26 +62,6 @@ def _picture(image: Tensor) -> Tensor:
     if image.dim() != 3 or image.shape[-1] != 3 or 0 in image.shape:
         raise ShapeError(f"picture: expected (H, W, 3), found {(*image.shape,)}")
     return image.detach().cpu()
-
-
-@contextmanager
-def _replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary name beside `path` that takes its place when the block ends well, and vanishes when it does not."""
-    path = Path(path)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
