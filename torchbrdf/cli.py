@@ -1,6 +1,7 @@
 """The command line: `torchbrdf run | fit | render | info`."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -51,8 +52,9 @@ Say what measured BRDF files hold: format, size, invalid entries, whether a file
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
-    parser = build_parser()
-    options = parser.parse_args(arguments)
+    # Before torch is imported: threads that spin while they wait make a busy machine crawl, this program with it.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    options = build_parser().parse_args(arguments)
     try:
         return int(options.command(options))
     except UsageError as error:
@@ -211,8 +213,7 @@ def info_command(options: argparse.Namespace) -> int:
         if k:
             print()
         print(name)
-        for key, value in facts.items():
-            print(f"  {key:24s} {_short(value)}")
+        _print_facts(facts, "  ")
     return failed
 
 
@@ -228,6 +229,15 @@ def bars(label: str, total: int) -> Callable[[int], None]:
             bar.close()
 
     return advance
+
+
+def _print_facts(facts: dict[str, object], indent: str) -> None:
+    for key, value in facts.items():
+        if isinstance(value, dict):
+            print(f"{indent}{key}")
+            _print_facts(value, indent + "  ")
+        else:
+            print(f"{indent}{key:42s} {_short(value)}")
 
 
 def _short(value: object) -> str:

@@ -80,7 +80,7 @@ def _read_exr(path: Path) -> Tensor:
         raise
     except Exception as error:  # the library raises bare RuntimeErrors and worse for what it cannot read
         reason = " ".join(str(error).split())
-        raise DataError(f"{path}: not a readable OpenEXR picture: {reason}") from None
+        raise DataError(f"{path}: no whole OpenEXR picture: {reason}") from None
     names = ("Y", "Y", "Y") if "Y" in channels and "R" not in channels else ("R", "G", "B")
     missing = [name for name in names if name not in channels]
     if missing:

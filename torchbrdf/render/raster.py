@@ -78,7 +78,8 @@ def rasterize(mesh: Mesh, view: View, size: int) -> GBuffer:
         near = closeness[face, 0] * column + closeness[face, 1] * row + closeness[face, 2]
         pixel = row * size + column
         np.maximum.at(nearest, pixel, near)
-        shown = np.flatnonzero(near == nearest[pixel])[::-1]  # of equals the first id is written last
+        # Not faces edge on, whose planes are 0; of equals the first id is written last.
+        shown = np.flatnonzero((near == nearest[pixel]) & (near > 0))[::-1]
         triangle[pixel[shown]] = face[shown]
     seen = np.flatnonzero(triangle >= 0)
     face = triangle[seen]

@@ -1,5 +1,6 @@
 """A study: models fitted to materials under losses, scored across them, and drawn. Finished parts are taken up."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
+from torchbrdf.files import write_text
 from torchbrdf.fitting import fit, local_minima, score, write_csv
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
@@ -160,6 +162,7 @@ class Study:
         mask = scene.mask.expand(len(references) + len(fitted), *scene.mask.shape)
         tone = ToneMap.from_images(torch.cat([references, fitted]), mask)
         self.tone = tone
+        write_text(self.folder.path / "tonemap.json", json.dumps(tone.to_dict(), indent=1) + "\n")
         shown = tone(references)
         for name, display in zip(self.materials, shown, strict=True):
             write_png(self.png(picture(name)), over(display, scene.coverage))

@@ -1,0 +1,99 @@
+"""The command line: what it prints, its exit status, and what bad input gets."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from torchbrdf.cli import main
+from torchbrdf.lobes import CookTorrance, Lambert, Sum, parameters, write_fits
+
+
+@pytest.fixture
+def paint(tmp_path):
+    """A material that is a model, as a file."""
+    model = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), CookTorrance(specular=0.5, roughness=0.2, f0=0.2))
+    path = tmp_path / "paint.json"
+    write_fits(path, [{"material": "paint", "model": "cook_torrance", "lobes": 1, "parameters": parameters(model)}])
+    return path
+
+
+def test_fit_prints_and_writes(paint, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["fit", str(paint), "--model", "ward", "--lobes", "1", "--samples", "500", "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "paint" in printed.out and "roughness" in printed.out
+    assert printed.err == ""  # no progress bar where there is no terminal
+    (record,) = json.loads((out / "fits.json").read_text())
+    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cuberoot"
+    assert (out / "fits.csv").read_text().count("\n") == 2
+
+
+def test_one_bad_file_is_reported_and_the_others_are_done(paint, tmp_path, capsys):
+    bad = tmp_path / "broken.binary"
+    bad.write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00" + bytes(100))
+    assert main(["fit", str(paint), str(bad), "--samples", "300", "--lobes", "1"]) == 1
+    printed = capsys.readouterr()
+    assert "paint" in printed.out
+    assert "broken.binary" in printed.err and "truncated" in printed.err and printed.err.count("\n") == 1
+
+
+def test_render_writes_pictures(paint, tmp_path, capsys):
+    assert main(["render", str(paint), "--size", "32", "--shape", "sphere", "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "paint.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "out" / "paint.exr").exists()
+
+
+def test_info_says_what_a_file_holds(paint, capsys):
+    assert main(["info", str(paint)]) == 0
+    assert "distinctness of image" in capsys.readouterr().out
+
+
+def test_run_lists_recipes_and_settings(capsys):
+    assert main(["run", "list"]) == 0
+    assert main(["run", "fores2012", "help="]) == 0
+    printed = capsys.readouterr().out
+    assert "fores2012" in printed and "environment=grove" in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["fit", "nowhere.binary"], 1, "nowhere.binary"),
+        (["fit", "PAINT", "--model", "wardd"], 2, "unknown lobe 'wardd'.*did you mean 'ward'"),
+        (["fit", "PAINT", "--loss", "cube"], 2, "unknown loss 'cube'"),
+        (["fit", "PAINT", "--strategy", "luck"], 2, "unknown strategy 'luck'"),
+        (["fit", "PAINT", "--lobes", "0"], 2, "lobes: expected at least 1"),
+        (["fit", "PAINT", "--max-theta", "120"], 1, "max_theta: expected an angle above 0 and at most 90"),
+        (["run", "fores2021"], 2, "unknown recipe 'fores2021'.*did you mean 'fores2012'"),
+        (["run", "fores2012", "quik=true"], 2, "unknown setting of fores2012 'quik'"),
+        (["run", "fores2012", "quick"], 2, "expected key=value, found 'quick'"),
+        (["run", "fores2012", "size=huge"], 2, "size: expected int, found 'huge'"),
+        (["run", "fores2012", "models=phong", "--out", "OUT"], 2, "unknown lobe 'phong'"),
+        (["run", "fores2012", "materials=nowhere", "--out", "OUT"], 1, "nowhere"),
+        (["run", "fores2012", "environment=PAINT", "--out", "OUT"], 1, "expected an OpenEXR or a Radiance picture"),
+        (["run", "fores2012", "shape=PAINT", "--out", "OUT"], 1, "mesh"),
+        (["render", "PAINT", "--environment", "nowhere.hdr"], 1, "nowhere.hdr"),
+        (["info", "nowhere.binary"], 1, "nowhere.binary"),
+    ],
+)
+def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, said):
+    import re
+
+    filled = [a.replace("PAINT", str(paint)).replace("OUT", str(tmp_path / "out")) for a in arguments]
+    assert main(filled) == status
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and printed.err.startswith("torchbrdf: ")
+    assert re.search(said, printed.err)
+
+
+def test_usage_errors_of_the_parser_exit_2(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["fit"])
+    assert caught.value.code == 2
+
+
+def test_help_teaches():
+    done = subprocess.run([sys.executable, "-m", "torchbrdf", "--help"], capture_output=True, text=True, check=True)
+    assert "torchbrdf run fores2012" in done.stdout and "torchbrdf fit nickel.binary" in done.stdout

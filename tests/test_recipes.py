@@ -1,0 +1,168 @@
+"""Recipes: settings, folders, resuming, and every recipe in its quick form."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.files import write_text
+from torchbrdf.measured import PAPER_TEN, load, standins
+from torchbrdf.recipe import RECIPES, Recipe, configure, describe, find_recipe, parse, run
+
+
+@dataclass(frozen=True)
+class Toy(Recipe):
+    """Counts how often it ran."""
+
+    name = "toy"
+    number: int = 3
+    share: float = 0.5
+    names: tuple[str, ...] = ("a", "b")
+    limit: int | None = 7
+
+    def steps(self, folder):
+        path = folder.path / "runs.txt"
+        write_text(path, (path.read_text() if path.exists() else "") + f"{self.number}\n")
+        return path
+
+
+def test_settings_are_typed():
+    recipe = configure(Toy, {"number": "5", "share": "0.25", "names": "x, y,z", "limit": "none", "quick": "true"})
+    assert recipe == Toy(number=5, share=0.25, names=("x", "y", "z"), limit=None, quick=True)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("number", "five", "toy: number: expected int, found 'five'"),
+        ("share", "half", "toy: share: expected float"),
+        ("quick", "maybe", "toy: quick: expected true or false, found 'maybe'"),
+        ("numbr", "5", "unknown setting of toy 'numbr'.*did you mean 'number'"),
+    ],
+)
+def test_wrong_settings_are_refused_in_a_line(key, value, said):
+    with pytest.raises(UsageError, match=said):
+        configure(Toy, {key: value})
+
+
+@given(st.text())
+def test_no_text_makes_parse_fail_in_another_way(text):
+    for expected in (bool, int, float, int | None, tuple[int, ...]):
+        try:
+            parse(text, expected, "x")
+        except UsageError as error:
+            assert "expected" in str(error)
+
+
+def test_a_run_records_what_repeats_it(tmp_path):
+    run(Toy(number=4), tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "recipe.json").read_text())
+    assert record["recipe"] == "toy"
+    assert record["settings"]["number"] == 4 and record["settings"]["seed"] == 0
+    assert {"python", "torch", "torchbrdf"} <= set(record["versions"])
+    assert "toy begins" in (tmp_path / "out" / "log.txt").read_text()
+
+
+def test_a_run_goes_on_in_its_own_folder_only(tmp_path):
+    out = tmp_path / "out"
+    run(Toy(), out)
+    assert run(Toy(), out).read_text() == "3\n3\n"
+    with pytest.raises(UsageError, match="holds a run with other settings"):
+        run(Toy(number=9), out)
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("x")
+    with pytest.raises(UsageError, match="expected an empty folder"):
+        run(Toy(), foreign)
+
+
+def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(DataError, match="cannot be written"):
+        run(Toy(), tmp_path / "file" / "out")
+
+
+def test_a_recipe_can_be_a_file(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from dataclasses import dataclass\n"
+        "from torchbrdf.recipe import Recipe\n"
+        "@dataclass(frozen=True)\n"
+        "class Mine(Recipe):\n"
+        "    '''Mine.'''\n"
+        "    name = 'mine'\n"
+        "    colour: str = 'red'\n"
+        "    def steps(self, folder):\n"
+        "        return folder.path / self.colour\n"
+    )
+    recipe = configure(find_recipe(str(path)), {"colour": "blue"})
+    assert run(recipe, tmp_path / "out").name == "blue"
+    with pytest.raises(UsageError, match="no such file"):
+        find_recipe(str(tmp_path / "other.py"))
+
+
+def test_help_lists_every_setting():
+    text = describe(Toy)
+    for part in ("number=3", "names=a,b", "limit=7", "seed=0"):
+        assert part in text
+
+
+def test_the_bundled_stand_ins_are_the_papers_ten():
+    measured = load(standins())
+    assert sorted(measured.names) == sorted(PAPER_TEN)
+    assert measured.stand_in
+
+
+QUICK = {"fores2012": {"report.html", "fits.json", "fits.csv", "renders", "figures", "tonemap.json"}}
+
+
+@pytest.mark.parametrize("name", list(RECIPES))
+def test_every_recipe_runs_in_its_quick_form(name, tmp_path):
+    out = tmp_path / name
+    report = run(configure(RECIPES[name], {"quick": "true"}), out)
+    assert report.is_file() and report.stat().st_size > 1000
+    assert {"recipe.json", "log.txt"} | QUICK.get(name, set()) <= {path.name for path in out.iterdir()}
+    assert not list(out.rglob(".*"))  # nothing half-written is left
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("study") / "out"
+    run(configure(RECIPES["fores2012"], {"quick": "true", "models": "ward", "lobes": "1", "size": "48"}), out)
+    return out
+
+
+def test_a_study_has_a_record_for_every_fit(study):
+    records = json.loads((study / "fits.json").read_text())
+    keys = {(r["material"], r["model"], r["loss"], r["lobes"]) for r in records}
+    assert len(keys) == len(records) == 2 * 1 * 3 * 2
+    for record in records:
+        assert set(record["errors"]) == {"rms", "cosine", "cuberoot"}
+        assert record["errors"][record["loss"]] == pytest.approx(record["error"], rel=1e-6)
+        beaten = any(
+            other["errors"][record["loss"]] < record["error"] * (1 - 1e-4)
+            for other in records
+            if (other["material"], other["lobes"]) == (record["material"], record["lobes"])
+        )
+        assert record["outlier"] == beaten
+        assert ("differences" in record) == (record["lobes"] == 1)
+
+
+def test_a_report_is_one_file_that_shows_every_picture(study):
+    page = (study / "report.html").read_text()
+    assert "http://" not in page and 'src="renders' not in page
+    assert page.count("data:image/webp") == 2 * (1 + 1 + 3)  # reference, turned, three fits
+    assert "Stand-ins." in page and "1 lobe or 2" in page
+
+
+def test_a_study_takes_up_what_is_finished(study):
+    before = {path: path.stat().st_mtime_ns for path in (study / "renders").glob("*.exr")}
+    (study / "renders" / "aluminium-turned.exr").unlink()
+    run(configure(RECIPES["fores2012"], {"quick": "true", "models": "ward", "lobes": "1", "size": "48"}), study)
+    again = {path: path.stat().st_mtime_ns for path in (study / "renders").glob("*.exr")}
+    assert set(again) == set(before)
+    assert {path.stem for path in before if again[path] != before[path]} == {"alum-bronze-turned", "aluminium-turned"}
