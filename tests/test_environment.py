@@ -132,7 +132,7 @@ def test_energy_is_kept() -> None:
 
 
 def test_lookups_average_over_their_solid_angle(grove: Environment) -> None:
-    directions = random_directions(200).float()
+    directions = random_directions(60).float()
     whole = grove.lookup(directions, torch.tensor(4 * math.pi))
     torch.testing.assert_close(whole, grove.texels.mean((0, 1)).expand_as(whole), rtol=1e-4, atol=0)
     # Against the mean over a cone. Squares are no cones, and interpolation blurs, so that they agree only roughly,
@@ -147,15 +147,15 @@ def test_lookups_average_over_their_solid_angle(grove: Environment) -> None:
 
 def test_lookups_have_no_seams(evening: Environment) -> None:
     """Radiance changes by less than 3 a radian, so what is looked up must, too, also over the edges of the map."""
-    around = torch.linspace(0, 2 * math.pi, 100_001, dtype=torch.float64)
+    around = torch.linspace(0, 2 * math.pi, 20_001, dtype=torch.float64)
     for tilt in (0.0, 0.4, 1.2):
         circle = torch.stack([around.cos(), around.sin() * math.sin(tilt), around.sin() * math.cos(tilt)], -1).float()
         for solid_angle in (1e-6, 1e-3, 3e-2, 1.0):
             found = evening.lookup(circle, torch.tensor(solid_angle))
-            assert found.diff(dim=0).abs().max() < 3 * 2 * math.pi / 100_000
-    levels = torch.logspace(-6, 1, 100_001)
+            assert found.diff(dim=0).abs().max() < 3 * 2 * math.pi / 20_000
+    levels = torch.logspace(-6, 1, 20_001)
     found = evening.lookup(circle[:1].expand(len(levels), 3), levels)
-    assert found.diff(dim=0).abs().max() < 1e-3
+    assert found.diff(dim=0).abs().max() < 3e-3
 
 
 @pytest.mark.parametrize("degrees", [90.0, -200.0])

@@ -73,7 +73,9 @@ class Mesh:
             mesh.update_faces(with_area)
         if "vertex_normals" not in mesh._cache:
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        if mesh.is_watertight and mesh.volume < 0:
+        with np.errstate(invalid="ignore"):  # a flat mesh has no middle
+            inside_out = mesh.is_watertight and mesh.volume < 0
+        if inside_out:
             mesh.invert()
         faces, normals = np.array(mesh.faces, np.int64), np.array(mesh.vertex_normals, np.float64)
         length = np.linalg.norm(normals, axis=1, keepdims=True)

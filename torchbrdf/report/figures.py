@@ -1,14 +1,16 @@
 """The report's figures, drawn with matplotlib."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.image
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from torchbrdf.files import replacing
 from torchbrdf.images import DIFFERENCES
@@ -45,6 +47,25 @@ def gloss_figure(
         left.invert_yaxis()
         right.barh(rows, np.asarray(contrast)[order], color="#dd8452")
         right.set_xlabel("contrast gloss: log10 of luminance\nat 30:30 over 45:0")
+        _mark(figure, stand_in)
+        _save(figure, path)
+
+
+def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequence[Path]], stand_in: bool) -> None:
+    """Figure 3: a row of pictures for the reference and for each metric, a column for each material."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(
+            figsize=(1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5),
+            layout=ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0, hspace=0),
+        )
+        panels = np.atleast_2d(figure.subplots(len(rows), len(materials), squeeze=False))
+        for line, (label, pictures) in zip(panels, rows.items(), strict=True):
+            for panel, picture in zip(line, pictures, strict=True):
+                panel.imshow(matplotlib.image.imread(picture))
+                panel.set(xticks=[], yticks=[], frame_on=False)
+            line[0].set_ylabel(label)
+        for panel, name in zip(panels[0], materials, strict=True):
+            panel.set_title(name, fontsize=8)
         _mark(figure, stand_in)
         _save(figure, path)
 

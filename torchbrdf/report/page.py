@@ -13,7 +13,7 @@ from PIL import Image
 from torchbrdf.files import write_text
 from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
-from torchbrdf.report.figures import gloss_figure, profile_figure, quality_figure
+from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
 from torchbrdf.report.study import SHOWN_DIFFERENCES, Study, picture
 
 # The paper's Figure 4 shows this material; its profile is unfolded.
@@ -50,6 +50,10 @@ def write_report(study: Study, title: str, light: str, turn: float, record: str,
     doi, contrast = zip(*(gloss[name] for name in order), strict=True)
     gloss_figure(figures / "gloss.png", order, doi, contrast, stand_in)
     quality_figure(figures / "delta_e.png", order, shown, study.models, study.losses, DIFFERENCE, stand_in)
+    for model in study.models:
+        lines = {"reference": [study.png(picture(name)) for name in order]}
+        lines |= {_loss(loss): [study.png(picture(name, model, loss)) for name in order] for loss in study.losses}
+        grid_figure(figures / f"fits-{model}.png", order, lines, stand_in)
     advance = study.folder.progress("figures", len(order) * len(study.models))
     unfolded = UNFOLDED if UNFOLDED in order else order[0]
     rows: dict[str, list[dict[str, Any]]] = {model: [] for model in study.models}
@@ -155,7 +159,7 @@ def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
     """Every error under every metric."""
     tables = []
     for model in study.models:
-        head = ["material", *(f"{_loss(m)} of {_loss(f)} fit" for m in study.losses for f in study.losses)]
+        head = ["material", *(f"{_loss(m)}: {_loss(f)}" for m in study.losses for f in study.losses)]
         rows = []
         for name in order:
             cells = [Cell(name)]
@@ -168,7 +172,7 @@ def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
                 ]
             rows.append(cells)
         note = (
-            "Three columns for each metric: its error for the fits under each of them. Bold: the least. It should "
+            "metric: fit. Three columns for each metric, its error for the fits under each. Bold: the least. It should "
             "be that of the metric's own fit; where it is not, that fit is an outlier and framed."
         )
         tables.append({"title": f"Errors, {_model(model)}", "note": note, "head": head, "rows": rows})

@@ -1,0 +1,340 @@
+"""Pictures, against brute force, closed forms, and another renderer."""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.images import DIFFERENCES, ToneMap, read_image
+from torchbrdf.lobes import CookTorrance, Lambert, Sum, Ward
+from torchbrdf.measured import Measured
+from torchbrdf.measured.measured import Interpolation, Lookup, Source
+from torchbrdf.pairs import Pairs
+from torchbrdf.render import Environment, Mesh, Scene, View, blob, draw, render, sphere
+from torchbrdf.render.octahedral import texel_centers
+from torchbrdf.render.scene import _FAR, _NEAR
+from torchbrdf.render.workers import each
+
+MATERIALS = {
+    "lambert": Lambert(albedo=[0.5, 0.3, 0.1]),
+    "sharp": Ward(specular=0.5, roughness=0.01),
+    "glossy": Ward(specular=[0.5, 0.4, 0.2], roughness=0.05),
+    "rough": Ward(specular=0.5, roughness=0.3),
+    "metal": CookTorrance(specular=0.8, roughness=0.15, f0=0.5),
+}
+
+
+class Painted(Source):
+    """Materials that are given by lobes, where a scene asks for measured values."""
+
+    format = "painted"
+
+    def __init__(self, lobes: Sequence[Lambert]) -> None:
+        self.lobes = lobes
+        self.names = [str(k) for k in range(len(lobes))]
+        self.paths = []
+        self.pairs = Pairs.from_half_diff(*torch.full((3, 1, 1), 0.1, dtype=torch.float64))
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        return False
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> "Painted":
+        raise DataError("not from files")
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        raise DataError("no samples")
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        return Lookup(torch.cat([self.lobes[k](pairs) for k in materials]), torch.zeros(len(materials)))
+
+
+@pytest.fixture(scope="module")
+def grove() -> Environment:
+    return Environment.default()
+
+
+@pytest.fixture(scope="module")
+def small(grove: Environment) -> Scene:
+    return Scene(blob(), View(15.0), grove, size=12)
+
+
+def constant(value: float = 1.0) -> Environment:
+    return Environment.from_image(torch.full((8, 16, 3), value))
+
+
+def brute_force(materials: Sequence[Callable[[Pairs], Tensor]], scene: Scene) -> Tensor:
+    """Every texel of the environment as a light, for every pixel."""
+    side = scene.environment.texels.shape[0]
+    lights = texel_centers(side).reshape(-1, 3)
+    flux = scene.environment.texels.reshape(-1, 3) * (4 * math.pi / side**2)
+
+    def light(k: int) -> Tensor:
+        incident = lights @ scene._frame[k].T
+        above = incident[:, 2] > 0
+        pairs = Pairs.from_directions(incident[None, above], scene._outgoing[:, k])
+        weight = flux[above] * incident[above, 2:]
+        return torch.stack([(material(pairs)[0] * weight).sum(0) for material in materials])
+
+    pictures = torch.zeros(len(materials), scene.size**2, 3)
+    pictures[:, scene._pixel] = torch.stack(list(each(light, range(len(scene._pixel)))), 1)
+    return pictures.unflatten(1, (scene.size, scene.size))
+
+
+def test_furnace() -> None:
+    """A white Lambert object under constant light is everywhere as bright as the light."""
+    scene = Scene(blob(), View(), constant(3.0), size=40)
+    picture = render(Lambert(albedo=1.0), scene)[0]
+    np.testing.assert_allclose(picture[scene.mask].numpy(), 3, rtol=2e-3)
+    assert not picture[~scene.mask].any()
+    assert picture[scene.mask].mean().item() == pytest.approx(3, rel=5e-4)
+
+
+@pytest.mark.parametrize("roughness", [0.001, 0.003, 0.01, 0.1])
+def test_the_nodes_hold_a_sharp_lobe(roughness: float) -> None:
+    """exp(-tan^2 theta / alpha^2) over the half vectors near the normal, by a fine sum over theta."""
+    scene = Scene(sphere(2), View(), constant(), size=4)
+    _, tan2_h, solid, share = scene._nodes
+    found = (torch.exp(-tan2_h / roughness**2) * solid * share).sum() / 4
+    theta = (np.arange(400_000) + 0.5) / 400_000 * math.radians(_FAR)
+    near, far = np.cos(np.radians([_NEAR, _FAR]))
+    t = np.clip((np.cos(theta) - far) / (near - far), 0, 1)
+    lobe = np.exp(-(np.tan(theta) ** 2) / roughness**2) * (3 * t**2 - 2 * t**3)
+    expected = (lobe * 2 * math.pi * np.sin(theta)).sum() * math.radians(_FAR) / 400_000
+    assert found.item() == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("level", "size", "least"),
+    [(2, 12, {"lambert": 55, "glossy": 45, "rough": 50, "metal": 45}), (0, 6, {"sharp": 38, "glossy": 45})],
+)
+def test_pictures_against_brute_force(grove: Environment, level: int, size: int, least: dict[str, float]) -> None:
+    """dB after tone mapping; as many lights as texels, many pixels of a coarse map and few of the full one."""
+    scene = Scene(blob(), View(15.0), Environment(grove._pyramid[level]), size=size)
+    materials = [MATERIALS[name] for name in least]
+    found, expected = render(materials, scene), brute_force(materials, scene)
+    tone = ToneMap.from_images(expected, scene.mask)
+    quality = DIFFERENCES["psnr"]()(tone(found), tone(expected), scene.mask)
+    assert (quality > torch.tensor([*least.values()])).all(), dict(zip(least, quality.tolist(), strict=True))
+    ratio = found.mean((1, 2, 3)) / expected.mean((1, 2, 3))
+    np.testing.assert_allclose(ratio.numpy(), 1, rtol=1e-2)
+
+
+def test_pictures_against_mitsuba(grove: Environment, tmp_path: Path) -> None:
+    """On a sphere, which casts no shadow on itself."""
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    size, view, mesh = 32, View(20.0), sphere(5)
+    mesh.save(tmp_path / "sphere.ply")
+    eye, _ = view.camera(mesh)
+    transform = mitsuba.ScalarTransform4f
+    image = read_image(Path(__file__).parents[1] / "assets" / "grove.exr")
+
+    def beckmann(pairs: Pairs) -> Tensor:
+        """Mitsuba's rough conductor that reflects everything, alpha = 0.3 (Walter et al. 2007, eq. 25 to 27)."""
+
+        def shadowing(cosine: Tensor) -> Tensor:
+            a = cosine / (0.3 * (1 - cosine.square()).clamp_min(1e-12).sqrt())
+            return torch.where(a < 1.6, (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a), 1)
+
+        cos_i, cos_o = pairs.cos_i.clamp_min(1e-6), pairs.cos_o
+        facets = torch.exp(-pairs.tan2_h / 0.09) * (1 + pairs.tan2_h).square() / (math.pi * 0.09)
+        value = facets * shadowing(cos_i) * shadowing(cos_o) / (4 * cos_i * cos_o)
+        return torch.where(pairs.above, value, 0)[..., None].expand(-1, -1, 3)
+
+    conductor = {"type": "roughconductor", "material": "none", "distribution": "beckmann", "alpha": 0.3}
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    scene = Scene(mesh, view, grove, size=size)
+    whole = scene.coverage == 1
+    for surface, material in ((grey, Lambert(albedo=0.5)), (conductor, beckmann)):
+        theirs = mitsuba.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "direct", "hide_emitters": True},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": view.field_of_view,
+                    "to_world": transform().look_at(origin=list(eye), target=[0, 0, 0], up=[0, 1, 0]),
+                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+                    "sampler": {"type": "independent", "sample_count": 256},
+                },
+                "object": {"type": "ply", "filename": str(tmp_path / "sphere.ply"), "bsdf": surface},
+                # its middle is +z
+                "light": {
+                    "type": "envmap",
+                    "bitmap": mitsuba.Bitmap(image.numpy()),
+                    "to_world": transform().rotate([0, 1, 0], 180),
+                },
+            }
+        )
+        expected = torch.from_numpy(np.array(mitsuba.render(theirs))[..., :3])
+        found = render(material, scene)[0]
+        tone = ToneMap.from_images(expected, whole)
+        # 256 random samples a pixel leave about as much noise
+        assert DIFFERENCES["psnr"]()(tone(found)[None], tone(expected)[None], whole) > 29
+        assert (found[whole].mean() / expected[whole].mean()).item() == pytest.approx(1, rel=0.01)
+
+
+def test_a_mirror_shows_its_surroundings_the_right_way_round() -> None:
+    directions = texel_centers(512)
+    colors = torch.stack([directions[..., 0] > 0.7, directions[..., 1] > 0.7, directions[..., 2] > 0.9], -1)
+    scene = Scene(sphere(), View(), Environment(colors.float() + 0.01), size=61)
+    picture = render(Ward(specular=1.0, roughness=0.02), scene)[0]
+    reach = 0.5 * 0.92 * math.sin(math.pi / 4) * 61  # where a sphere far away shows what lies to its side
+    middle, side = 30, 30 + round(reach)
+    assert picture[middle, middle].argmax() == 2
+    assert picture[middle, side].argmax() == 0
+    assert picture[60 - side, middle].argmax() == 1
+    assert picture[middle, 60 - side].max() < 0.1 * picture[middle, side].max()
+    assert picture[side, middle].max() < 0.1 * picture[60 - side, middle].max()
+
+
+def test_turning_everything_changes_nothing(grove: Environment) -> None:
+    still = render(MATERIALS["glossy"], Scene(sphere(), View(), grove, size=40))[0]
+    turned = render(MATERIALS["glossy"], Scene(sphere(), View(70.0), grove.rotated(70.0), size=40))[0]
+    relative = (still - turned).abs().sum() / still.sum()
+    assert relative < 0.01
+
+
+def test_geometry_is_shared_and_the_order_kept(small: Scene) -> None:
+    materials = list(MATERIALS.values())
+    together = render(materials, small)
+    assert together.shape == (5, 12, 12, 3)
+    assert together.dtype == torch.float32
+    for picture, material in zip(together, materials, strict=True):
+        assert torch.equal(render(material, small)[0], picture)
+
+
+def test_batched_lobes_draw_every_material(small: Scene) -> None:
+    lobe = Sum(Lambert(), Ward()).batched(3).double()
+    with torch.no_grad():
+        for part, value in zip(lobe.parts(), (0.1, 0.2), strict=True):
+            for name in part.declared:
+                getattr(part, name).copy_(torch.tensor([[1.0], [2.0], [3.0]]) * value / 3)
+    pictures = render(lobe, small)
+    assert pictures.shape == (3, 12, 12, 3)
+    for row, packed in zip(pictures, lobe.pack(), strict=True):
+        assert torch.equal(render(lobe.unpack(packed), small)[0], row)
+    assert not torch.allclose(pictures[0], pictures[1])
+
+
+def test_measured_materials_and_plain_functions(small: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(draw, "_TABLES", 2)
+    lobes = [Lambert(albedo=(k + 1) / 8) for k in range(5)]
+    measured = Measured(Painted(lobes))
+    told: list[tuple[int, int]] = []
+    mixed = [lobes[2], measured, lambda pairs: lobes[4](pairs)[0]]
+    pictures = render(mixed, small, progress=lambda done, total: told.append((done, total)))
+    order = [lobes[2], *lobes, lobes[4]]
+    assert torch.equal(pictures, render(order, small))
+    assert told[-1] == (6 * int(small.mask.sum()), 6 * int(small.mask.sum()))
+    assert all(done < more for (done, _), (more, _) in pairwise(told))
+
+
+def test_the_threads_are_given_back(small: Scene) -> None:
+    threads = torch.get_num_threads()
+    first, second = (render(MATERIALS["glossy"], small) for _ in range(2))
+    assert torch.equal(first, second)
+    assert torch.get_num_threads() == threads
+
+    def broken(pairs: Pairs) -> Tensor:
+        raise ShapeError("no such BRDF")
+
+    with pytest.raises(ShapeError, match="no such BRDF"):
+        render(broken, small)
+    assert torch.get_num_threads() == threads
+
+
+def test_the_transport_gives_the_same_picture(small: Scene) -> None:
+    pairs, transport = small.pairs, small.transport
+    assert len(pairs) == len(transport.pixel) == len(transport.weight)
+    assert pairs.above.all()
+    materials = list(MATERIALS.values())
+    with torch.no_grad():
+        values = torch.cat([material(pairs) for material in materials])
+    torch.testing.assert_close(transport @ values, render(materials, small), rtol=1e-4, atol=1e-6)
+    with pytest.raises(ShapeError, match="transport"):
+        transport @ values[:, 1:]
+
+
+def test_the_transport_is_differentiable(small: Scene) -> None:
+    lobe = Ward(specular=0.5, roughness=torch.tensor([0.2], dtype=torch.float64))
+    pairs = small.pairs.to(dtype=torch.float64)
+
+    def total() -> Tensor:
+        return (small.transport @ lobe(pairs)).square().sum()
+
+    total().backward()
+    ends = []
+    with torch.no_grad():
+        for step in (1e-5, -2e-5):
+            lobe.roughness += step
+            ends.append(float(total()))
+    expected = (ends[0] - ends[1]) / 2e-5
+    assert lobe.roughness.grad is not None
+    assert lobe.roughness.grad.item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_the_pairs_know_fits_together(small: Scene) -> None:
+    known = small.pairs
+    derived = Pairs.from_directions(known.wi, known.wo)
+    torch.testing.assert_close(known.wi.norm(dim=-1), torch.ones(1, len(known)))
+    for name, tolerance in {"cos_i": 0, "cos_o": 0, "cos_h": 1e-6, "cos_d": 1e-6, "theta_d": 2e-3}.items():
+        torch.testing.assert_close(getattr(known, name), getattr(derived, name), atol=tolerance, rtol=0)
+    torch.testing.assert_close(known.tan2_h, derived.tan2_h, atol=1e-6, rtol=1e-3)
+    # phi_d has a period of pi, and no meaning where the half vector is the normal
+    steep = (known.tan2_h > 1e-4) & (known.theta_d > 1e-2)
+    away = (known.phi_d - derived.phi_d)[steep]
+    assert (2 * away).sin().abs().max() < 2e-2
+    assert known.phi_d.min() >= 0
+
+
+def test_coverage_is_smooth_at_the_outline(grove: Environment) -> None:
+    scene = Scene(sphere(), View(), grove, size=50, nodes=8, lights=4)
+    assert torch.equal(scene.mask, scene.coverage > 0)
+    edge = scene.coverage[scene.mask & (scene.coverage < 1)]
+    assert len(edge.unique()) > 4
+    area = math.pi * (0.92 / 2 * 50) ** 2
+    assert scene.coverage.sum().item() == pytest.approx(area, rel=0.02)
+
+
+def test_surfaces_have_two_sides() -> None:
+    """A square whose normals and corners point away from the viewer is lit from the side that is seen."""
+    corners = np.array([[-1, -1, 0], [-1, 1, 0], [1, 1, 0], [1, -1, 0.0]])
+    picture = torch.zeros(32, 64, 3)
+    picture[:, :16] = 1.0
+    picture[:, -16:] = 1.0  # all from +z, where the camera is
+    environment = Environment.from_image(picture)
+    for sign in (1, -1):
+        mesh = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0, sign], (4, 1)))
+        scene = Scene(mesh, View(), environment, size=15)
+        middle = render(Lambert(albedo=1.0), scene)[0, 7, 7]
+        np.testing.assert_allclose(middle.numpy(), 1, rtol=5e-3)
+
+
+def test_every_pixel_faces_the_viewer(small: Scene) -> None:
+    assert small._outgoing[2].min() >= 0.02 - 1e-6
+    identity = small._frame @ small._frame.transpose(1, 2)
+    torch.testing.assert_close(identity, torch.eye(3).expand_as(identity), atol=1e-5, rtol=0)
+    torch.testing.assert_close(torch.linalg.det(small._frame), torch.ones(len(small._frame)))
+
+
+def test_scenes_that_cannot_be(grove: Environment) -> None:
+    with pytest.raises(UsageError, match="size"):
+        Scene(sphere(2), View(), grove, size=0)
+    with pytest.raises(UsageError, match="nodes"):
+        Scene(sphere(2), View(), grove, size=4, nodes=0)
+    with pytest.raises(UsageError, match="at least one"):
+        render([], Scene(sphere(2), View(), grove, size=4))
+    with pytest.raises(UsageError, match="GiB"):
+        _ = Scene(sphere(2), View(), grove, size=300).transport
+    speck = Mesh(np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0], [9, 9, 9.0]]), np.array([[0, 1, 2]]), np.ones((4, 3)))
+    with pytest.raises(DataError, match="nothing to see"):
+        Scene(speck, View(), grove, size=4)
