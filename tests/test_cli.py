@@ -76,6 +76,9 @@ def test_run_lists_recipes_and_settings(capsys):
         (["run", "fores2012", "shape=PAINT", "--out", "OUT"], 1, "mesh"),
         (["render", "PAINT", "--environment", "nowhere.hdr"], 1, "nowhere.hdr"),
         (["info", "nowhere.binary"], 1, "nowhere.binary"),
+        (["fit", "PAINT", "--out", "PAINT/out"], 1, "cannot be written"),
+        (["render", "PAINT", "--out", "PAINT/out"], 1, "cannot be written"),
+        (["run", "fores2012", "--out", "PAINT/out"], 1, "cannot be written"),
     ],
 )
 def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, said):

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("torchbrdf: stopped; the same command takes up what is finished", file=sys.stderr)
+        print("torchbrdf: stopped", file=sys.stderr)
         return 1
 
 
@@ -136,12 +136,14 @@ def run_command(options: argparse.Namespace) -> int:
 def fit_command(options: argparse.Namespace) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.errors import DataError
+    from torchbrdf.files import writable
     from torchbrdf.fitting import fit, write_csv
     from torchbrdf.lobes import make_model, write_fits
     from torchbrdf.losses import LOSSES
     from torchbrdf.measured import load_all
 
     model, loss = make_model(options.model, options.lobes), LOSSES[options.loss]()
+    out = writable(options.out) if options.out else None
     bad: list[DataError] = []
     groups = load_all(options.files, bad=bad)
     for error in bad:
@@ -165,20 +167,22 @@ def fit_command(options: argparse.Namespace) -> int:
     for record in records:
         rest = "  ".join(f"{key} {_short(value)}" for key, value in record["parameters"].items())
         print(f"{record['material']:32s} {record['error']:10.4g}  {record['status']:14s} {rest}")
-    if options.out:
-        write_fits(Path(options.out) / "fits.json", records)
-        write_csv(Path(options.out) / "fits.csv", records)
-        print(Path(options.out) / "fits.json")
+    if out:
+        write_fits(out / "fits.json", records)
+        write_csv(out / "fits.csv", records)
+        print(out / "fits.json")
     return 1 if bad else 0
 
 
 def render_command(options: argparse.Namespace) -> int:
     """`torchbrdf render`."""
     from torchbrdf.errors import DataError
+    from torchbrdf.files import writable
     from torchbrdf.images import ToneMap, over, write_exr, write_png
     from torchbrdf.measured import load_all
     from torchbrdf.render import Environment, Mesh, Scene, View, blob, render, sphere
 
+    out = writable(options.out)
     made: dict[str, Callable[[], Mesh]] = {"blob": blob, "sphere": sphere}
     mesh = made[options.shape]() if options.shape in made else Mesh.load(options.shape)
     light = Environment.from_file(options.environment) if options.environment else Environment.default()
@@ -191,7 +195,7 @@ def render_command(options: argparse.Namespace) -> int:
         pictures = render(group, scene)
         tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
         for name, picture in zip(group.names, pictures, strict=True):
-            path = Path(options.out) / f"{name}.png"
+            path = out / f"{name}.png"
             write_png(path, over(tone(picture), scene.coverage))
             write_exr(path.with_suffix(".exr"), picture)
             print(path)

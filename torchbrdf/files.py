@@ -1,6 +1,7 @@
 """Writing files whole or not at all."""
 
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,13 +26,18 @@ def replacing(path: Path | str) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def writable(folder: Path | str) -> Path:
+    """The folder, made if need be; a DataError now rather than after the work if nothing can be written there."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Write a text file whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a binary file whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)

@@ -36,7 +36,7 @@ def fit(
     """Fit `model`, a sum of lobes with or without a diffuse one, to every material of `measured` under `loss`.
 
     strategy: a registered one. diffuse: "45:0" takes the diffuse albedo from the measurement with the light at 45
-    degrees and the viewer at the normal, and holds it; "fit" starts there and moves it. max_theta: only pairs with
+    degrees and the viewer at the normal, and holds it; "fit" moves the model's own. max_theta: only pairs with
     both directions at most so many degrees from the normal count. samples: the solver sees a stratified random subset
     of so many pairs, from `seed` (None: every pair); the errors reported are always those of every valid pair.
     The parameters that the model holds are where the fit starts; (P,) for all materials or (M, P) for each.
@@ -53,8 +53,8 @@ def fit(
     measured = measured.within(max_theta)
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     _check_start(model)
-    if diffuse == "45:0" or any(isinstance(part, Lambert) for part in model.parts()):
-        _set_diffuse(model, measured.diffuse_45_0())
+    if diffuse == "45:0":
+        _set_diffuse(model, measured)
     subset = stratified(len(measured.pairs), samples, seed) if loss.subsets else None
     packed = model.pack()
     outcomes: list[Outcome] = []
@@ -117,12 +117,12 @@ def _check_start(model: Lobe) -> None:
         raise ShapeError(f"start of {names[k]}: expected {expected}, found {worst.item():g}")
 
 
-def _set_diffuse(model: Lobe, albedo: Tensor) -> None:
+def _set_diffuse(model: Lobe, measured: Measured) -> None:
     diffuse = [part for part in model.parts() if isinstance(part, Lambert)]
     if len(diffuse) > 1:
         raise ShapeError(f"fit: expected at most one Lambert lobe, found {len(diffuse)}")
     for part in diffuse:
-        part.albedo.data = albedo.to(part.albedo)
+        part.albedo.data = measured.diffuse_45_0().to(part.albedo)
 
 
 def _without_idle_weight(problem: Problem) -> Problem:
