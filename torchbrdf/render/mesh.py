@@ -119,7 +119,7 @@ def sphere(levels: int = 6) -> Mesh:
 def blob() -> Mesh:
     """The project's blob, from `assets/blob.ply`: convex and concave, as in P. Vangorp et al., The Influence of Shape
     on the Perception of Material Reflectance, 2007, doi:10.1145/1275808.1276473, where such a shape told materials
-    apart best. `make_blob` made it."""
+    apart best. `make_blob().save("assets/blob.ply")` made it."""
     with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "blob.ply") as path:
         return Mesh.load(path)
 
