@@ -52,6 +52,8 @@ class Fores2012(Recipe):
         groups = load_all(standins() if self.materials == STANDINS else self.materials, bad=bad)
         if not groups:
             raise bad[0] if bad else DataError(f"{self.materials}: no measured BRDFs")
+        for error in bad:
+            folder.warn(f"left out: {error}")
         samples = self.samples
         if self.quick:
             groups = [group.batch(range(min(2, len(group)))) for group in groups]

@@ -166,3 +166,14 @@ def test_a_study_takes_up_what_is_finished(study):
     again = {path: path.stat().st_mtime_ns for path in (study / "renders").glob("*.exr")}
     assert set(again) == set(before)
     assert {path.stem for path in before if again[path] != before[path]} == {"alum-bronze-turned", "aluminium-turned"}
+
+
+def test_a_bad_file_is_left_out_with_a_word(tmp_path, caplog):
+    folder = tmp_path / "materials"
+    folder.mkdir()
+    (folder / "good.json").write_bytes(standins().read_bytes())
+    (folder / "broken.binary").write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00")
+    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "materials": str(folder)}
+    report = run(configure(RECIPES["fores2012"], settings), tmp_path / "out")
+    assert "broken.binary" in caplog.text and "left out" in (tmp_path / "out" / "log.txt").read_text()
+    assert "broken.binary" in report.read_text()

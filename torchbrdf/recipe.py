@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.util
 import json
+import logging
 import platform
 import sys
 import time
@@ -50,6 +51,11 @@ class RunFolder:
         """Add a line to log.txt."""
         with (self.path / "log.txt").open("a", encoding="utf-8") as log:
             log.write(f"{time.perf_counter() - self._began:8.1f} s  {line}\n")
+
+    def warn(self, line: str) -> None:
+        """Add a line to log.txt and say it: something was left out, but the run goes on."""
+        self.log(line)
+        logging.getLogger("torchbrdf").warning("torchbrdf: %s", line)
 
 
 # progress(label, total) gives a function that is called with the number of things done since the last call.
