@@ -94,7 +94,7 @@ class Pairs:
         if name == "theta_h" and ("tan2_h" in known or "cos_h" in known):
             return torch.atan2(self.tan2_h.sqrt(), torch.ones_like(self.tan2_h))
         if name == "theta_d" and "wi" in known:
-            return torch.atan2((self.wi - self.wo).norm(dim=-1), (self.wi + self.wo).norm(dim=-1))
+            return torch.atan2(_length(self.wi - self.wo), _length(self.wi + self.wo))
         if name == "theta_d" and "cos_d" in known:
             return torch.atan2((1 - self.cos_d.square()).clamp_min(0).sqrt(), self.cos_d)
         if name == "phi_d" and "wi" in known:
@@ -204,6 +204,12 @@ def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
     if isinstance(index, slice):
         return value[(slice(None),) * dim + (index,)]
     return value.index_select(dim, torch.as_tensor(index, device=value.device))
+
+
+def _length(vector: Tensor) -> Tensor:
+    """Length of `(..., 3)`, `(...)`; Tensor.norm is ten times slower where the components lie apart in memory."""
+    x, y, z = vector.unbind(-1)
+    return (x.square() + y.square() + z.square()).sqrt()
 
 
 def _positive(x: Tensor) -> Tensor:

@@ -35,17 +35,16 @@ def nearest(position: Sequence[Tensor], shape: Sequence[int]) -> Tensor:
 
 def neighbours(position: Sequence[Tensor], shape: Sequence[int]) -> tuple[Tensor, Tensor]:
     """The 2^d rows around each position and their weights for multilinear interpolation, `(N, 2^d)` both."""
-    index = torch.zeros_like(position[0], dtype=torch.int32)[:, None]
-    weight = torch.ones_like(position[0])[:, None]
+    # Column by column: broadcasting over an inner dimension of 2 would cost five times as much.
+    indices, weights = [torch.zeros_like(position[0], dtype=torch.int32)], [torch.ones_like(position[0])]
     for x, size in zip(position, shape, strict=True):
         x = x.nan_to_num(0).clamp(0, size - 1)
         low = x.floor().clamp(max=max(size - 2, 0))
-        share = torch.stack([low + 1 - x, x - low], -1)
-        step = torch.tensor([0, min(1, size - 1)], dtype=torch.int32, device=x.device)
-        steps = low.to(torch.int32)[:, None] + step
-        index = (index[:, :, None] * size + steps[:, None, :]).flatten(1)
-        weight = (weight[:, :, None] * share[:, None, :]).flatten(1)
-    return index, weight
+        first, share = low.to(torch.int32), x - low
+        steps = (first, first + min(1, size - 1))
+        indices = [index * size + step for index in indices for step in steps]
+        weights = [weight * part for weight in weights for part in (low + 1 - x, share)]
+    return torch.stack(indices, -1), torch.stack(weights, -1)
 
 
 def weighted_rows(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:

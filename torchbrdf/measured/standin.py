@@ -2,6 +2,7 @@
 
 import importlib.resources
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ class StandIn(Source):
             record["material"] if materials.count(record["material"]) == 1 else _full_name(record) for record in records
         ]
         self.pairs = native()
+        self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -66,20 +68,24 @@ class StandIn(Source):
         """The models' values; there is nothing to interpolate."""
         values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
         with torch.no_grad():
-            for rows, model in self._models(materials):
-                model = model.to(pairs.device, pairs.dtype)
+            for rows, model in self._models(tuple(materials), pairs.dtype, pairs.device):
                 for part, chunk in chunks(pairs):
                     own = chunk if pairs.shape[0] == 1 else chunk.select(rows)
                     values[rows, part] = model(own)
         return Lookup(values, torch.zeros(len(materials), dtype=torch.int64, device=pairs.device))
 
-    def _models(self, materials: list[int]) -> list[tuple[list[int], Sum]]:
+    def _batched(
+        self, materials: tuple[int, ...], dtype: torch.dtype, device: torch.device
+    ) -> list[tuple[list[int], Sum]]:
         """Batched models, one for each kind of model, and which of `materials` they are."""
         kinds: dict[tuple[str, int], list[int]] = {}
         for row, material in enumerate(materials):
             record = self.records[material]
             kinds.setdefault((record["model"], record["lobes"]), []).append(row)
-        return [(rows, model_of([self.records[materials[row]] for row in rows])) for rows in kinds.values()]
+        return [
+            (rows, model_of([self.records[materials[row]] for row in rows]).to(device, dtype))
+            for rows in kinds.values()
+        ]
 
 
 def standins() -> Path:
