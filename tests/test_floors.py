@@ -28,6 +28,7 @@ FLOORS = {
     "registry": 0,
     "errors": 0,
     "files": 0,
+    "workers": 0,
     "assets": 0,  # data
 }
 # Who may see whom on one floor: a study works in a run folder; pairs, the registry and files raise errors.

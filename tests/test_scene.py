@@ -19,7 +19,7 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.render import Environment, Mesh, Scene, View, blob, draw, render, sphere
 from torchbrdf.render.octahedral import texel_centers
 from torchbrdf.render.scene import _FAR, _NEAR
-from torchbrdf.render.workers import each
+from torchbrdf.workers import each
 
 MATERIALS = {
     "lambert": Lambert(albedo=[0.5, 0.3, 0.1]),

@@ -52,8 +52,8 @@ Say what measured BRDF files hold: format, size, invalid entries, whether a file
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
-    # Before torch is imported: threads that spin while they wait make a busy machine crawl, this program with it.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
+    os.environ.setdefault("GOMP_SPINCOUNT", "3000")
     options = build_parser().parse_args(arguments)
     try:
         return int(options.command(options))

@@ -16,6 +16,7 @@ from torchbrdf.fitting.variables import put_values, values_of
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.losses import LOSSES, Loss, Problem
 from torchbrdf.measured import Measured
+from torchbrdf.workers import each
 
 DIFFUSE = ("45:0", "fit")
 
@@ -57,20 +58,23 @@ def fit(
         _set_diffuse(model, measured)
     subset = stratified(len(measured.pairs), samples, seed) if loss.subsets else None
     packed = model.pack()
-    outcomes: list[Outcome] = []
-    subset_error: list[Tensor] = []
-    for rows in groups(len(measured), len(measured.pairs) if subset is None else len(subset)):
+
+    def fit_some(rows: list[int]) -> tuple[Tensor, Outcome]:
         part = model.unpack(packed[rows])
-        problem = loss.problem(measured.batch(rows), subset)
-        outcome = run(
-            Task(part, _without_idle_weight(problem), loss, max_iterations), values_of(part), diffuse == "fit"
-        )
+        problem = _without_idle_weight(loss.problem(measured.batch(rows), subset))
+        outcome = run(Task(part, problem, loss, max_iterations), values_of(part), diffuse == "fit")
         put_values(part, outcome.values)
-        packed[rows] = part.pack()
+        return part.pack(), outcome
+
+    outcomes: list[Outcome] = []
+    fitted: list[Tensor] = []
+    for found, outcome in each(fit_some, groups(len(measured), len(measured.pairs) if subset is None else len(subset))):
+        fitted.append(found)
         outcomes.append(outcome)
-        subset_error.append(torch.tensor(outcome.stages[-1].error, dtype=torch.float64))
         if progress is not None:
-            progress(len(rows))
+            progress(len(found))
+    packed = torch.cat(fitted)
+    subset_error = [torch.tensor(outcome.stages[-1].error, dtype=torch.float64) for outcome in outcomes]
     model = model.unpack(packed)
     history = [joined([outcome.stages[k] for outcome in outcomes]) for k in range(len(outcomes[0].stages))]
     status = [outcome.status(k) for outcome in outcomes for k in range(len(outcome.stages[0].error))]

@@ -49,10 +49,11 @@ def solve(task: Task, values: Values, variables: list[Variable], parts: list[int
     scale = torch.where(black > 0, black, 1)
 
     def objective(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        point = x.detach().requires_grad_()
-        here = {key: value[rows] for key, value in held.items()} | decode(variables, point, dtype)
-        value = (task.errors(here, rows, parts) / scale[rows]).square()
-        (gradient,) = torch.autograd.grad(value.sum(), point)
+        with torch.enable_grad():
+            point = x.detach().requires_grad_()
+            here = {key: value[rows] for key, value in held.items()} | decode(variables, point, dtype)
+            value = (task.errors(here, rows, parts) / scale[rows]).square()
+            (gradient,) = torch.autograd.grad(value.sum(), point)
         return value.detach(), gradient
 
     start = encode(variables, values).to(device)

@@ -12,7 +12,7 @@ from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.render.scene import Chunk, Scene
-from torchbrdf.render.workers import each
+from torchbrdf.workers import each
 
 # Measured tables that are open at once.
 _TABLES = 12

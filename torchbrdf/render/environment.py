@@ -13,7 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.images import luminance, read_image
 from torchbrdf.render.octahedral import padded, texel_centers, to_sphere, to_square
-from torchbrdf.render.workers import each
+from torchbrdf.workers import each
 
 # Texels along a side of the map that an environment is kept as; 0.4 degrees each.
 RESOLUTION = 512
