@@ -1,13 +1,12 @@
 """The study of Fores, Ferwerda and Gu (2012): three models, three metrics, ten materials."""
 
-import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.measured import load_all, standins
-from torchbrdf.recipe import RECIPES, Recipe, RunFolder, versions
-from torchbrdf.render import Environment, Mesh, Scene, View, blob, sphere
+from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+from torchbrdf.render import Environment, Scene, View, find_mesh
 from torchbrdf.report import Study, write_report
 
 STANDINS = "stand-ins"
@@ -45,7 +44,7 @@ class Fores2012(Recipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Fits, pictures, report."""
-        mesh, environment = self._mesh(), self._light()
+        mesh, environment = find_mesh(self.shape), self._light()
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, View(turn), environment, size=size) for turn in (0.0, self.turn))
         bad: list[DataError] = []
@@ -75,12 +74,7 @@ class Fores2012(Recipe):
         light = "Light: " + (
             "the project's own grove." if self.environment == GROVE else Path(self.environment).name + "."
         )
-        record = json.dumps({"recipe": self.name, "settings": asdict(self), "versions": versions()}, indent=1)
-        return write_report(study, "Which error metric looks right?", light, self.turn, record, [str(e) for e in bad])
-
-    def _mesh(self) -> Mesh:
-        made = {"blob": blob, "sphere": sphere}
-        return made[self.shape]() if self.shape in made else Mesh.load(self.shape)
+        return write_report(study, "Which error metric looks right?", light, self.turn, [str(e) for e in bad])
 
     def _light(self) -> Environment:
         return Environment.default() if self.environment == GROVE else Environment.from_file(self.environment)

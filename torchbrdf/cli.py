@@ -5,9 +5,13 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchbrdf import __version__
-from torchbrdf.errors import TorchbrdfError, UsageError
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError
+
+if TYPE_CHECKING:
+    from torchbrdf.measured import Measured
 
 DESCRIPTION = """\
 Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
@@ -135,19 +139,14 @@ def run_command(options: argparse.Namespace) -> int:
 
 def fit_command(options: argparse.Namespace) -> int:
     """`torchbrdf fit`."""
-    from torchbrdf.errors import DataError
     from torchbrdf.files import writable
     from torchbrdf.fitting import fit, write_csv
     from torchbrdf.lobes import make_model, write_fits
     from torchbrdf.losses import LOSSES
-    from torchbrdf.measured import load_all
 
     model, loss = make_model(options.model, options.lobes), LOSSES[options.loss]()
     out = writable(options.out) if options.out else None
-    bad: list[DataError] = []
-    groups = load_all(options.files, bad=bad)
-    for error in bad:
-        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    groups, complete = _load(options.files)
     advance = bars("fits", sum(map(len, groups)))
     records = []
     for group in groups:
@@ -171,26 +170,19 @@ def fit_command(options: argparse.Namespace) -> int:
         write_fits(out / "fits.json", records)
         write_csv(out / "fits.csv", records)
         print(out / "fits.json")
-    return 1 if bad else 0
+    return 0 if complete else 1
 
 
 def render_command(options: argparse.Namespace) -> int:
     """`torchbrdf render`."""
-    from torchbrdf.errors import DataError
     from torchbrdf.files import writable
     from torchbrdf.images import ToneMap, over, write_exr, write_png
-    from torchbrdf.measured import load_all
-    from torchbrdf.render import Environment, Mesh, Scene, View, blob, render, sphere
+    from torchbrdf.render import Environment, Scene, View, find_mesh, render
 
     out = writable(options.out)
-    made: dict[str, Callable[[], Mesh]] = {"blob": blob, "sphere": sphere}
-    mesh = made[options.shape]() if options.shape in made else Mesh.load(options.shape)
     light = Environment.from_file(options.environment) if options.environment else Environment.default()
-    scene = Scene(mesh, View(options.rotate), light, size=options.size)
-    bad: list[DataError] = []
-    groups = load_all(options.files, bad=bad)
-    for error in bad:
-        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    scene = Scene(find_mesh(options.shape), View(options.rotate), light, size=options.size)
+    groups, complete = _load(options.files)
     for group in groups:
         pictures = render(group, scene)
         tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
@@ -199,7 +191,7 @@ def render_command(options: argparse.Namespace) -> int:
             write_png(path, over(tone(picture), scene.coverage))
             write_exr(path.with_suffix(".exr"), picture)
             print(path)
-    return 1 if bad else 0
+    return 0 if complete else 1
 
 
 def info_command(options: argparse.Namespace) -> int:
@@ -233,6 +225,17 @@ def bars(label: str, total: int) -> Callable[[int], None]:
             bar.close()
 
     return advance
+
+
+def _load(files: Sequence[str]) -> tuple[list["Measured"], bool]:
+    """What could be loaded, and whether that is all; the rest is said."""
+    from torchbrdf.measured import load_all
+
+    bad: list[DataError] = []
+    groups = load_all(files, bad=bad)
+    for error in bad:
+        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    return groups, not bad
 
 
 def _print_facts(facts: dict[str, object], indent: str) -> None:

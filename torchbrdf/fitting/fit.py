@@ -113,12 +113,11 @@ def stratified(total: int, samples: int | None, seed: int) -> Tensor | None:
 def _check_start(model: Lobe) -> None:
     lower, upper = model.bounds
     packed = model.pack()
-    outside = ((packed < lower) | (packed > upper) | ~packed.isfinite()).any(0)
+    outside = (packed < lower) | (packed > upper) | ~packed.isfinite()
     names = [f"{type(part).__name__}.{bounded.name}" for part, bounded in model.slots() for _ in range(bounded.size)]
-    for k in outside.nonzero().flatten().tolist():
-        worst = packed[:, k][(packed[:, k] < lower[k]) | (packed[:, k] > upper[k]) | ~packed[:, k].isfinite()][0]
+    for material, k in outside.nonzero()[:1].tolist():
         expected = f"{lower[k].item():g} to {upper[k].item():g}"
-        raise ShapeError(f"start of {names[k]}: expected {expected}, found {worst.item():g}")
+        raise ShapeError(f"start of {names[k]}: expected {expected}, found {packed[material, k].item():g}")
 
 
 def _set_diffuse(model: Lobe, measured: Measured) -> None:

@@ -100,9 +100,8 @@ def minimize(
     end; those that have ended leave the batch, so that `objective` is called for ever fewer. A problem has converged
     when no component of its projected gradient exceeds gradient_tolerance, or when neither a step nor another along the
     gradient lowers its value by value_tolerance and no more is to be expected, all relative to the value's magnitude
-    plus `negligible`. A variable at a bound
-    with the gradient pointing outward is held there during a step (Bertsekas 1982, doi:10.1137/0320018); L-BFGS as in
-    Nocedal and Wright, Numerical Optimization, ch. 7.
+    plus `negligible`. A variable at a bound with the gradient pointing outward is held there during a step (Bertsekas
+    1982, doi:10.1137/0320018); L-BFGS as in Nocedal and Wright, Numerical Optimization, ch. 7.
     """
     lower, upper = lower.expand_as(start), upper.expand_as(start)
     if not bool((lower <= upper).all()):

@@ -2,8 +2,8 @@
 
 from torchbrdf.render.draw import render
 from torchbrdf.render.environment import Environment
-from torchbrdf.render.mesh import Mesh, blob, sphere
+from torchbrdf.render.mesh import Mesh, blob, find_mesh, sphere
 from torchbrdf.render.raster import View
 from torchbrdf.render.scene import Scene, Transport
 
-__all__ = ["Environment", "Mesh", "Scene", "Transport", "View", "blob", "render", "sphere"]
+__all__ = ["Environment", "Mesh", "Scene", "Transport", "View", "blob", "find_mesh", "render", "sphere"]

@@ -124,6 +124,12 @@ def blob() -> Mesh:
         return Mesh.load(path)
 
 
+def find_mesh(name: str) -> Mesh:
+    """The blob, the sphere, or a mesh file."""
+    made = {"blob": blob, "sphere": sphere}
+    return made[name]() if name in made else Mesh.load(name)
+
+
 def make_blob(levels: int = 6) -> Mesh:
     """A sphere d -> r(d) d with r = 1 + sum of a exp(k (d.c - 1)), smooth bumps a > 0 and hollows a < 0 about axes c.
 

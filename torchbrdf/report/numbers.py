@@ -11,27 +11,31 @@ from torchbrdf.images import DIFFERENCES
 Records = Sequence[dict[str, Any]]
 
 
+def badness(record: dict[str, Any], difference: str) -> float:
+    """An image difference of a fit, turned so that lower is better."""
+    value: float = record["differences"][difference]
+    return -value if DIFFERENCES[difference].higher_is_better else value
+
+
 def best_counts(records: Records, losses: Sequence[str], difference: str) -> dict[str, int]:
     """For how many (material, model) the fit under each loss has the best image difference."""
-    sign = -1 if DIFFERENCES[difference].higher_is_better else 1
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for record in records:
         groups.setdefault((record["material"], record["model"]), []).append(record)
     counts = dict.fromkeys(losses, 0)
     for group in groups.values():
-        counts[min(group, key=lambda record: sign * record["differences"][difference])["loss"]] += 1
+        counts[min(group, key=lambda record: badness(record, difference))["loss"]] += 1
     return counts
 
 
 def agreement(records: Records, metric: str, difference: str) -> float:
     """How well a metric orders fits as an image difference does: Spearman's rank correlation over the fits of a
     material, averaged over materials; 1 if always in the same order."""
-    sign = -1 if DIFFERENCES[difference].higher_is_better else 1
     found = []
     for material in dict.fromkeys(record["material"] for record in records):
         own = [record for record in records if record["material"] == material]
         errors = [record["errors"][metric] for record in own]
-        differences = [sign * record["differences"][difference] for record in own]
+        differences = [badness(record, difference) for record in own]
         if len(own) > 2 and np.ptp(errors) > 0 and np.ptp(differences) > 0:
             found.append(float(spearmanr(errors, differences).statistic))
     return float(np.mean(found)) if found else float("nan")

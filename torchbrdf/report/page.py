@@ -32,7 +32,7 @@ class Cell:
     outlier: bool = False
 
 
-def write_report(study: Study, title: str, light: str, turn: float, record: str, problems: Sequence[str]) -> Path:
+def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str]) -> Path:
     """Draw the figures and write `report.html` for a study whose fits and pictures are done; gives its path."""
     folder = study.folder.path
     gloss = {
@@ -44,12 +44,11 @@ def write_report(study: Study, title: str, light: str, turn: float, record: str,
     }
     order = sorted(gloss, key=lambda name: gloss[name][0])
     stand_in = any(group.stand_in for group in study.groups)
-    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
 
     figures = folder / "figures"
     doi, contrast = zip(*(gloss[name] for name in order), strict=True)
     gloss_figure(figures / "gloss.png", order, doi, contrast, stand_in)
-    quality_figure(figures / "delta_e.png", order, shown, study.models, study.losses, DIFFERENCE, stand_in)
+    quality_figure(figures / "delta_e.png", order, study.shown, study.models, study.losses, DIFFERENCE, stand_in)
     for model in study.models:
         lines = {"reference": [study.png(picture(name)) for name in order]}
         lines |= {_loss(loss): [study.png(picture(name, model, loss)) for name in order] for loss in study.losses}
@@ -59,10 +58,16 @@ def write_report(study: Study, title: str, light: str, turn: float, record: str,
     rows: dict[str, list[dict[str, Any]]] = {model: [] for model in study.models}
     for name in order:
         group = next(group for group in study.groups if name in group.names)
+        same = {
+            "material": name,
+            "reference": _small(study.png(picture(name))),
+            "turned": _small(study.png(picture(name, "turned"))),
+            "open": name == unfolded,
+        }
         for model in study.models:
             path = figures / f"profile-{name}-{model}.png"
             profile_figure(path, group, [study.record(name, model, loss) for loss in study.losses])
-            rows[model].append(_row(study, name, model) | {"profile": _png(path), "open": name == unfolded})
+            rows[model].append(same | {"fits": _fits(study, name, model), "profile": _png(path)})
             advance(1)
     template = Environment(
         loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -92,7 +97,7 @@ def write_report(study: Study, title: str, light: str, turn: float, record: str,
         tone=study.tone,
         light=light,
         turn=f"{turn:g}",
-        record=record,
+        record=(folder / "recipe.json").read_text(encoding="utf-8"),
     )
     path = folder / "report.html"
     write_text(path, page)
@@ -101,7 +106,7 @@ def write_report(study: Study, title: str, light: str, turn: float, record: str,
 
 def findings(study: Study, order: Sequence[str]) -> list[str]:
     """What the numbers say, in sentences. Sharp are the half of the materials with the smaller DoI."""
-    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
+    shown = study.shown
     sharp = set(order[: (len(order) + 1) // 2])
     lines = []
     for label, part in (
@@ -133,26 +138,18 @@ def findings(study: Study, order: Sequence[str]) -> list[str]:
     return lines
 
 
-def _row(study: Study, material: str, model: str) -> dict[str, Any]:
-    """The pictures of a material and its fits with one model."""
-    fits = []
-    for loss in study.losses:
-        record = study.record(material, model, loss)
-        fits.append(
-            {
-                "loss": loss,
-                "label": _loss(loss),
-                "image": _small(study.png(picture(material, model, loss))),
-                "outlier": record["outlier"],
-                "delta_e": record["differences"][DIFFERENCE],
-            }
-        )
-    return {
-        "material": material,
-        "reference": _small(study.png(picture(material))),
-        "turned": _small(study.png(picture(material, "turned"))),
-        "fits": fits,
-    }
+def _fits(study: Study, material: str, model: str) -> list[dict[str, Any]]:
+    """The pictures of a material's fits with one model."""
+    return [
+        {
+            "loss": loss,
+            "image": _small(study.png(picture(material, model, loss))),
+            "outlier": record["outlier"],
+            "delta_e": record["differences"][DIFFERENCE],
+        }
+        for loss in study.losses
+        for record in [study.record(material, model, loss)]
+    ]
 
 
 def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
@@ -191,9 +188,12 @@ def _difference_table(study: Study, order: Sequence[str]) -> dict[str, Any]:
         for model in study.models:
             cells = [Cell(name), Cell(_model(model))]
             for difference in SHOWN_DIFFERENCES:
-                values = [study.record(name, model, loss)["differences"][difference] for loss in study.losses]
-                best = min(values) if difference == DIFFERENCE else max(values)
-                cells += [Cell(f"{value:.3f}", value == best) for value in values]
+                own = [study.record(name, model, loss) for loss in study.losses]
+                best = min(numbers.badness(record, difference) for record in own)
+                cells += [
+                    Cell(f"{record['differences'][difference]:.3f}", numbers.badness(record, difference) == best)
+                    for record in own
+                ]
             rows.append(cells)
     note = "Between the picture of each fit and the reference in the same view, over the object. Bold: the best."
     return {"title": "Image differences", "note": note, "head": head, "rows": rows}
@@ -201,7 +201,7 @@ def _difference_table(study: Study, order: Sequence[str]) -> dict[str, Any]:
 
 def _agreement_table(study: Study) -> dict[str, Any]:
     """Do the metrics order fits as the image differences do?"""
-    shown = [r for r in study.records if r["lobes"] == study.lobes[0]]
+    shown = study.shown
     rows = []
     for metric in study.losses:
         values = [numbers.agreement(shown, metric, difference) for difference in SHOWN_DIFFERENCES]

@@ -54,6 +54,11 @@ class Study:
         """The names of all materials."""
         return [name for group in self.groups for name in group.names]
 
+    @property
+    def shown(self) -> list[dict[str, Any]]:
+        """The records that are drawn: those of the first number of lobes."""
+        return [record for record in self.records if record["lobes"] == self.lobes[0]]
+
     def record(self, material: str, model: str, loss: str, lobes: int | None = None) -> dict[str, Any]:
         """The record of one fit."""
         lobes = self.lobes[0] if lobes is None else lobes
