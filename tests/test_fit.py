@@ -74,11 +74,14 @@ def test_two_lobes_are_at_least_as_good_as_one():
 
 
 def test_the_stages_are_the_papers():
-    result = fit(make_model("ward", 2), measured_from(TRUTHS["ward"].double()), CubeRootLoss(), samples=500)
+    result = fit(
+        make_model("ward", 2), measured_from(TRUTHS["ward"].double()), CubeRootLoss(), strategy="staged", samples=500
+    )
     assert [stage.name for stage in result.history] == [
         "1 lobe, scalar albedo",
         "2 lobes, scalar albedo",
         "RGB albedo, shapes held",
+        "RGB albedo, shapes held, all samples",
     ]
     torch.testing.assert_close(
         result.model.parts()[0].albedo.detach(), measured_from(TRUTHS["ward"].double()).diffuse_45_0()

@@ -84,6 +84,15 @@ class Pairs:
             value = self._known[name] = self._derive(name)
         return value
 
+    def keep(self, name: str, make: Callable[[], Tensor]) -> Tensor:
+        """A quantity `(..., N)` that does not depend on any parameter: made at first use, and kept under this name."""
+        value = self._known.get(name)
+        if value is None:
+            value = make()
+            if not value.requires_grad:
+                self._known[name] = value
+        return value
+
     def _derive(self, name: str) -> Tensor:
         known = self._known
         if name == "above":

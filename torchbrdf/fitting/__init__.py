@@ -1,7 +1,10 @@
 """Fitting models to measured materials: strategies, the batched solver, scores, results."""
 
-from torchbrdf.fitting.fit import fit, stratified
+from torchbrdf.fitting.data import stratified
+from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.lbfgs import Solution, Status, minimize
+from torchbrdf.fitting.levenberg import minimize_squares
+from torchbrdf.fitting.quadratic import minimize_quadratic
 from torchbrdf.fitting.result import FitResult, write_csv
 from torchbrdf.fitting.score import local_minima, score
 from torchbrdf.fitting.strategy import STRATEGIES
@@ -14,6 +17,8 @@ __all__ = [
     "fit",
     "local_minima",
     "minimize",
+    "minimize_quadratic",
+    "minimize_squares",
     "score",
     "stratified",
     "write_csv",

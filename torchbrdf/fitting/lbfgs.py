@@ -27,6 +27,8 @@ class Status(StrEnum):
     STALLED = "stalled"
     NOT_FINITE = "not_finite"
     NO_DATA = "no_data"
+    TOO_FEW_SAMPLES = "too_few_samples"
+    BAD_START = "bad_start"
 
 
 @dataclass

@@ -13,7 +13,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.files import write_text
 from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.strategy import Stage
-from torchbrdf.lobes import Lobe, model_name, model_of, number, parameters, read_fits, write_fits
+from torchbrdf.lobes import Lambert, Lobe, model_name, model_of, number, parameters, read_fits, write_fits
 
 
 @dataclass
@@ -21,8 +21,9 @@ class FitResult:
     """One model fitted to M materials under one loss.
 
     `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
-    the solver saw, `(M,)` each; `status` says of each material whether the solver converged; `history` has the stages.
-    `seconds` is the time of the whole batch.
+    the solver saw, `(M,)` each; `status` says of each material whether the solver converged, and `reason` why not;
+    `starts` is how many starts the strategy tried, `ties` how many other minima of each material came within 1 % of
+    the best; `history` has the stages. `seconds` is the time of the whole batch.
     """
 
     names: list[str]
@@ -33,6 +34,9 @@ class FitResult:
     error: Tensor
     subset_error: Tensor
     status: list[Status]
+    reason: list[str]
+    starts: int
+    ties: list[int]
     seconds: float
     max_theta: float
     samples: int | None
@@ -52,6 +56,10 @@ class FitResult:
                 "error": self.error[k].item(),
                 "subset_error": self.subset_error[k].item(),
                 "status": str(self.status[k]),
+                "reason": self.reason[k],
+                "starts": self.starts,
+                "ties": self.ties[k],
+                "at_bounds": at_bounds(self.model, k, self.diffuse == "fit"),
                 "seconds": self.seconds / len(self.names),
                 "max_theta": self.max_theta,
                 "samples": self.samples,
@@ -85,11 +93,34 @@ class FitResult:
             error=torch.tensor([number(record["error"]) for record in records], dtype=torch.float64),
             subset_error=torch.tensor([number(record["subset_error"]) for record in records], dtype=torch.float64),
             status=[Status(record["status"]) for record in records],
+            reason=[record.get("reason", "") for record in records],
+            starts=first.get("starts", 1),
+            ties=[record.get("ties", 0) for record in records],
             seconds=sum(record["seconds"] for record in records),
             max_theta=first["max_theta"],
             samples=first["samples"],
             seed=first["seed"],
         )
+
+
+def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
+    """Which fitted parameters ended at a bound, such as `roughness[1] = 0.5` for the second lobe's."""
+    lower, upper = model.bounds
+    packed = model.pack()[material]
+    count = -1
+    found: list[str] = []
+    names: list[str | None] = []
+    for part in model.parts():
+        held = isinstance(part, Lambert)
+        count += not held
+        for name, bounded in part.declared.items():
+            names += [None if held and not diffuse else "diffuse" if held else f"{name}[{count}]"] * bounded.size
+    for label, value, low, high in zip(names, packed.tolist(), lower.tolist(), upper.tolist(), strict=True):
+        close = 1e-6 * max(abs(low), abs(high))
+        if label and (value <= low + min(close, 1e-3 * abs(low)) or value >= high - close):
+            text = f"{label} = {value:g}"
+            found += [text] if text not in found else []
+    return found
 
 
 def write_csv(path: Path | str, records: list[dict[str, Any]]) -> None:

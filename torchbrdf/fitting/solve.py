@@ -1,63 +1,150 @@
-"""Move some parameters of a model so that a loss falls: the step that strategies are made of."""
+"""Move some parameters of a model so that a loss falls: the steps that strategies are made of."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.lbfgs import Solution, minimize
+from torchbrdf.fitting.data import Data
+from torchbrdf.fitting.lbfgs import Objective, Solution, minimize
+from torchbrdf.fitting.levenberg import minimize_squares
+from torchbrdf.fitting.normal import SquaredError, applies
 from torchbrdf.fitting.variables import Values, Variable, decode, encode, evaluate, limits
-from torchbrdf.lobes import Lobe
+from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.losses import Loss, Problem
 
 
 @dataclass(frozen=True)
 class Task:
-    """A model, what it is to come close to, and by which loss."""
+    """A model, what it is to come close to, and by which loss.
+
+    problem: what the solver works on; whole: all there is, of which `problem` may be a subset.
+    """
 
     model: Lobe
     problem: Problem
     loss: Loss
     max_iterations: int = 300
+    whole: Problem | None = None
 
-    def errors(self, values: Values, rows: Tensor, parts: list[int]) -> Tensor:
-        """The error of each material in `rows` with these values (already of those rows), `(m,)`, float64."""
-        problem = self.problem
-        everyone = len(rows) == len(problem.target)
-        pairs = problem.pairs if everyone else problem.pairs.select(rows)
-        target = problem.target if everyone else problem.target[rows]
-        weight = problem.weight
-        if weight is not None and not everyone and len(weight) > 1:
-            weight = weight[rows]
-        prediction = evaluate(self.model, values, pairs, parts)
-        return self.loss.error(prediction.expand_as(target), target, pairs, weight)
+    def __len__(self) -> int:
+        return len(self.problem.target)
 
-    def black(self) -> Tensor:
-        """The error of a prediction that is 0 everywhere, `(M,)`."""
-        problem = self.problem
-        return self.loss.error(torch.zeros_like(problem.target), problem.target, problem.pairs, problem.weight)
+    @cached_property
+    def analytic(self) -> bool:
+        """Whether derivatives are to be had without a graph."""
+        return applies(self.model, self.loss)
+
+    @cached_property
+    def data(self) -> Data:
+        """The problem, laid out for an analytic task."""
+        return Data(self.problem, self.loss)
+
+    @cached_property
+    def finish(self) -> "Task":
+        """The same on all samples."""
+        return self if self.whole is None else replace(self, problem=self.whole, whole=None)
+
+    def on(self, samples: Tensor) -> "Task":
+        """The same on some samples of the problem, by index."""
+        return replace(self, problem=self.problem.select(samples), whole=None)
+
+    def of(self, material: int) -> "Task":
+        """The same for one material."""
+        return replace(self, problem=self.problem.material(material), whole=None)
+
+    @property
+    def diffuse(self) -> list[int]:
+        """Which parts are diffuse."""
+        return [k for k, part in enumerate(self.model.parts()) if isinstance(part, Lambert)]
+
+    @property
+    def specular(self) -> list[int]:
+        """Which are not."""
+        return [k for k, part in enumerate(self.model.parts()) if not isinstance(part, Lambert)]
+
+    def variables(self, parts: list[int]) -> list[Variable]:
+        """All parameters of these parts."""
+        return [Variable(k, one, one.size) for k in parts for one in self.model.parts()[k].declared.values()]
 
 
 def solve(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Values, Solution]:
-    """Minimise the loss over `variables`, the other values held, with only these parts of the model present.
+    """Minimise the loss by L-BFGS over `variables`, the other values held, with only these parts of the model present.
 
     The solver sees squared errors, which are smooth where a fit is exact, in units of what black would have.
     """
-    dtype, device = task.problem.target.dtype, task.problem.target.device
+    objective, scale = (
+        _analytic(task, values, variables, parts) if task.analytic else _graph(task, values, variables, parts)
+    )
+    lower, upper = (bound.to(scale.device) for bound in limits(variables))
+    start = encode(variables, values).to(scale.device)
+    found = minimize(objective, start, lower, upper, max_iterations=task.max_iterations)
+    found.value = found.value.sqrt() * scale.sqrt()
+    return values | decode(variables, found.x, task.problem.target.dtype), found
+
+
+def descend(
+    task: Task,
+    materials: Tensor,
+    values: Values,
+    variables: list[Variable],
+    parts: list[int],
+    *,
+    max_iterations: int,
+    tolerance: float = 1e-8,
+    rounding: tuple[float | None, ...] | None = None,
+) -> tuple[Values, Solution]:
+    """`solve` by Levenberg-Marquardt, for an analytic task; `materials`, `(R,)`, says of which each problem is.
+
+    rounding: the widths, in units of the mean target, over which a loss with a cusp is rounded, one after the other;
+    the loss's own if None. The errors of the solution are those of the loss itself.
+    """
+    data = task.data
+    scale = data.black[materials]
+    x = encode(variables, values).to(scale.device)
+    lower, upper = (bound.to(scale.device) for bound in limits(variables))
+    everyone = torch.arange(len(x), device=x.device)
+    iterations = torch.zeros(len(x), dtype=torch.long)
+    exact = SquaredError(task.model, data, materials, values, variables, parts, scale)
+    for share in task.loss.rounding if rounding is None else rounding:
+        width = None if share is None else share * data.spread[materials]
+        objective = SquaredError(task.model, data, materials, values, variables, parts, scale, width)
+        found = minimize_squares(objective, x, lower, upper, max_iterations=max_iterations, tolerance=tolerance)
+        x = found.x
+        iterations += found.iterations
+    found.iterations = iterations
+    if width is not None:
+        found.value = exact(x, everyone, curvature=False)[0]
+    found.value = (found.value * scale).sqrt()
+    return values | decode(variables, x, task.problem.target.dtype), found
+
+
+def _analytic(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Objective, Tensor]:
+    data = task.data
+    everyone = torch.arange(len(data), device=data.target.device)
+    error = SquaredError(task.model, data, everyone, values, variables, parts, data.black)
+    return lambda x, rows: error(x, rows, curvature=False)[:2], data.black
+
+
+def _graph(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Objective, Tensor]:
+    """By differentiating through the model and the loss, whatever they are."""
+    problem, loss = task.problem, task.loss
+    black = loss.error(torch.zeros_like(problem.target), problem.target, problem.pairs, problem.weight)
+    scale = torch.where(black > 0, black, 1).square()
     held = {key: value for key, value in values.items() if key[0] in parts}
-    black = task.black()
-    scale = torch.where(black > 0, black, 1)
 
     def objective(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        pairs, target, weight = problem.pairs, problem.target, problem.weight
+        if len(rows) < len(task):
+            pairs, target = pairs.select(rows), target[rows]
+            weight = weight[rows] if weight is not None and len(weight) > 1 else weight
         with torch.enable_grad():
             point = x.detach().requires_grad_()
-            here = {key: value[rows] for key, value in held.items()} | decode(variables, point, dtype)
-            value = (task.errors(here, rows, parts) / scale[rows]).square()
+            here = {key: value[rows] for key, value in held.items()} | decode(variables, point, target.dtype)
+            prediction = evaluate(task.model, here, pairs, parts).expand_as(target)
+            value = loss.error(prediction, target, pairs, weight).square() / scale[rows]
             (gradient,) = torch.autograd.grad(value.sum(), point)
         return value.detach(), gradient
 
-    start = encode(variables, values).to(device)
-    lower, upper = (bound.to(device) for bound in limits(variables))
-    found = minimize(objective, start, lower, upper, max_iterations=task.max_iterations)
-    found.value = found.value.sqrt() * scale
-    return values | decode(variables, found.x, dtype), found
+    return objective, scale

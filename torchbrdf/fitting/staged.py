@@ -1,35 +1,62 @@
 """The paper's procedure: lobe after lobe with a scalar albedo, then the colours with the shapes held."""
 
-from torchbrdf.fitting.solve import Task, solve
+from collections.abc import Callable, Iterator
+
+import torch
+
+from torchbrdf.fitting.lbfgs import Solution
+from torchbrdf.fitting.solve import Task, descend, solve
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
 from torchbrdf.fitting.variables import Values, Variable
-from torchbrdf.lobes import Lambert
+
+# Minimises over some variables with some parts of the model present.
+Minimizer = Callable[[Values, list[Variable], list[int]], tuple[Values, Solution]]
 
 
 @STRATEGIES.register("staged")
 def staged(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
-    """Fit as Fores, Ferwerda and Gu (2012) did, to the letter.
+    """Fit as Fores, Ferwerda and Gu (2012) did, to the letter, with a quasi-Newton solver as theirs.
 
     With the diffuse albedo given, one lobe with a scalar albedo and its shape parameters is fitted; then each further
     lobe is added at its start beside those already found; at last the albedos become RGB and are fitted with the
-    shapes held. It can end in a local minimum, as theirs did. With `fit_diffuse` the diffuse albedo moves throughout.
+    shapes held, to a subset and then to all samples. It can end in a local minimum, as theirs did. With `fit_diffuse`
+    the diffuse albedo moves throughout.
     """
-    parts = task.model.parts()
-    diffuse = [k for k, part in enumerate(parts) if isinstance(part, Lambert)]
-    specular = [k for k in range(len(parts)) if k not in diffuse]
-    moved = [Variable(k, bounded, bounded.size) for k in diffuse for bounded in parts[k].declared.values()]
-    moved = moved if fit_diffuse else []
     outcome = Outcome(values)
-    shaped: list[Variable] = []
-    colored: list[Variable] = []
-    for count, k in enumerate(specular, start=1):
-        for bounded in parts[k].declared.values():
-            scalar = bounded.linear and bounded.shape == (3,)
-            shaped.append(Variable(k, bounded, 1 if scalar else bounded.size))
-            if bounded.linear:
-                colored.append(Variable(k, bounded, bounded.size))
-        values, found = solve(task, outcome.values, moved + shaped, diffuse + specular[:count])
-        outcome.add(f"{count} lobe{'s' if count > 1 else ''}, scalar albedo", values, found)
-    values, found = solve(task, outcome.values, moved + colored, diffuse + specular)
-    outcome.add("RGB albedo, shapes held", values, found)
+    for step in stages(task, values, fit_diffuse, lambda *move: solve(task, *move)):
+        outcome.add(*step)
+    if task.whole is not None:
+        moved = _diffuse(task, fit_diffuse) + _albedos(task)
+        finish, parts = task.finish, task.diffuse + task.specular
+        if finish.analytic:
+            everyone = torch.arange(len(task), device=task.problem.target.device)
+            last = task.loss.rounding[-1:]
+            end = descend(finish, everyone, outcome.values, moved, parts, max_iterations=30, rounding=last)
+        else:
+            end = solve(finish, outcome.values, moved, parts)
+        outcome.add("RGB albedo, shapes held, all samples", *end)
     return outcome
+
+
+def stages(
+    task: Task, values: Values, fit_diffuse: bool, minimizer: Minimizer
+) -> Iterator[tuple[str, Values, Solution]]:
+    """The stages one after the other: name, values so far, and what the minimizer says."""
+    moved = _diffuse(task, fit_diffuse)
+    shaped: list[Variable] = []
+    for count, k in enumerate(task.specular, start=1):
+        for variable in task.variables([k]):
+            scalar = variable.bounded.linear and variable.bounded.shape == (3,)
+            shaped.append(Variable(k, variable.bounded, 1) if scalar else variable)
+        values, found = minimizer(values, moved + shaped, task.diffuse + task.specular[:count])
+        yield f"{count} lobe{'s' if count > 1 else ''}, scalar albedo", values, found
+    values, found = minimizer(values, moved + _albedos(task), task.diffuse + task.specular)
+    yield "RGB albedo, shapes held", values, found
+
+
+def _diffuse(task: Task, fit_diffuse: bool) -> list[Variable]:
+    return task.variables(task.diffuse) if fit_diffuse else []
+
+
+def _albedos(task: Task) -> list[Variable]:
+    return [variable for variable in task.variables(task.specular) if variable.bounded.linear]

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import schlick
-from torchbrdf.lobes.shape import colored, floored, tangent
+from torchbrdf.lobes.fresnel import fresnel, grazing
+from torchbrdf.lobes.shape import colored, floored, log_secant
 from torchbrdf.pairs import Pairs
 
 
@@ -19,10 +19,17 @@ def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tens
     Source: the paper's eq. 2 and 3; M. Ashikhmin and P. Shirley, An Anisotropic Phong BRDF Model, 2000,
     doi:10.1080/10867651.2000.10487522.
     """
+    return colored(pairs, _power(pairs, exponent) * fresnel(f0, pairs), specular)
+
+
+def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
+    """(m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o))."""
+
+    def geometry() -> Tensor:
+        return 1 / (floored(pairs.cos_d) * torch.maximum(floored(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
+
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
-    power = torch.exp(-0.5 * exponent * torch.log1p(tangent(pairs)))
-    geometry = 1 / (floored(pairs.cos_d) * torch.maximum(floored(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
-    return colored(pairs, power * (exponent + 1) * geometry * schlick(f0, pairs.cos_d), specular)
+    return torch.exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.keep("ashikhmin", geometry) * (exponent + 1))
 
 
 @LOBES.register("ashikhmin_shirley")
@@ -31,5 +38,14 @@ class AshikhminShirley(Lobe):
 
     specular = color(start=0.5, doc="specular albedo, per channel")
     exponent = Bounded(start=5.0, lower=0.001, upper=50000.0, log=True, doc="m, the sharpness of the lobe")
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, doc="reflectance at normal incidence")
+    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
     function = staticmethod(ashikhmin_shirley)
+
+    @classmethod
+    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """d/dm = shape (1 / (m + 1) + log(cos_h)), d/dF0 = shape / F (1 - (1 - cos_d)^5)."""
+        exponent, f0 = scalars
+        power = _power(pairs, exponent)
+        shape = power * fresnel(f0, pairs)
+        slope = torch.add(1 / (exponent + 1), log_secant(pairs), alpha=-0.5)
+        return [shape, shape * slope, power * (1 - grazing(pairs))]

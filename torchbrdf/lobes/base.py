@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Self, overload
 
 import torch
 from torch import Tensor, nn
+from torch.autograd import forward_ad
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.pairs import Pairs
@@ -21,7 +22,8 @@ class Bounded:
     """A parameter of a lobe, declared once: where a fit starts, its bounds, and what it means.
 
     `shape` is (3,) for a colour, (1,) for a scalar. `linear` says that the lobe's value is proportional to it
-    (an albedo). `log` asks solvers to move it on a logarithmic scale, for a range of many decades.
+    (an albedo), `affine` that it is a constant plus something proportional to it (Schlick's F0); what is neither is
+    a shape. `log` asks solvers to move it on a logarithmic scale, for a range of many decades.
     """
 
     start: float
@@ -30,6 +32,7 @@ class Bounded:
     doc: str
     shape: tuple[int, ...] = (1,)
     linear: bool = False
+    affine: bool = False
     log: bool = False
     name: str = field(default="", init=False)
 
@@ -104,6 +107,38 @@ class Lobe(nn.Module):
     def forward(self, pairs: Pairs) -> Tensor:
         """Values on pairs, `(..., N, 3)`."""
         return type(self).function(pairs, *(getattr(self, name) for name in self.declared))
+
+    @classmethod
+    def color(cls) -> "Bounded | None":
+        """The linear colour of a lobe that is one colour times a scalar function of pairs and scalars, else None."""
+        colors = [bounded for bounded in cls.declared.values() if bounded.linear and bounded.shape == (3,)]
+        rest = [bounded for bounded in cls.declared.values() if bounded not in colors]
+        return colors[0] if len(colors) == 1 and all(bounded.size == 1 for bounded in rest) else None
+
+    @classmethod
+    def scalars(cls) -> list["Bounded"]:
+        """The other parameters of such a lobe."""
+        return [bounded for bounded in cls.declared.values() if bounded is not cls.color()]
+
+    @classmethod
+    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """The scalar function of such a lobe, and its derivative by each of `scalars`, `(..., N)` all.
+
+        Where both directions are above the horizon. By forward differentiation, unless a lobe knows a shorter way.
+        """
+        white = torch.ones_like(scalars[0])
+        names = [bounded.name for bounded in cls.scalars()]
+        color = cls.color()
+        assert color is not None
+        found: list[Tensor] = []
+        for k, moved in enumerate(scalars):
+            with forward_ad.dual_level():
+                own = [forward_ad.make_dual(moved, white) if i == k else other for i, other in enumerate(scalars)]
+                values = cls.function(pairs, **{color.name: white}, **dict(zip(names, own, strict=True)))
+                value, tangent = forward_ad.unpack_dual(values.squeeze(-1))
+            found = found or [value]
+            found.append(torch.zeros_like(value) if tangent is None else tangent)
+        return found
 
     def parts(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""

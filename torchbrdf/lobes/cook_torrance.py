@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import schlick
-from torchbrdf.lobes.shape import colored, tangent, v_groove
+from torchbrdf.lobes.fresnel import fresnel, grazing
+from torchbrdf.lobes.shape import colored, log_secant, tangent, v_groove
 from torchbrdf.pairs import Pairs
 
 
@@ -20,12 +20,15 @@ def cook_torrance(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor)
     Source: the paper's eq. 4 to 6; R. Cook and K. Torrance, A Reflectance Model for Computer Graphics, 1982,
     doi:10.1145/357290.357293.
     """
-    square = roughness.square()
+    return colored(pairs, _facets(pairs, roughness) * fresnel(f0, pairs), specular)
+
+
+def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
+    """D G / (pi cos_i cos_o)."""
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
-    tan2 = tangent(pairs)
-    distribution = torch.exp(2 * torch.log1p(tan2) - tan2 / square) / square
-    geometry = v_groove(pairs) / math.pi
-    return colored(pairs, distribution * geometry * schlick(f0, pairs.cos_d), specular)
+    inverse = roughness.square().reciprocal()
+    exponent = torch.addcmul(pairs.keep("beckmann", lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
+    return exponent.exp() * (v_groove(pairs) * (inverse / math.pi))
 
 
 @LOBES.register("cook_torrance")
@@ -34,5 +37,14 @@ class CookTorrance(Lobe):
 
     specular = color(start=0.5, doc="specular albedo, per channel")
     roughness = Bounded(start=0.02, lower=0.001, upper=1.0, log=True, doc="m, the rms slope of the microfacets")
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, doc="reflectance at normal incidence")
+    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
     function = staticmethod(cook_torrance)
+
+    @classmethod
+    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """d/dm = shape (2 tan2_h / m^3 - 2 / m), d/dF0 = D G (1 - (1 - cos_d)^5) / (pi cos_i cos_o)."""
+        roughness, f0 = scalars
+        facets = _facets(pairs, roughness)
+        shape = facets * fresnel(f0, pairs)
+        slope = torch.add(-2 / roughness, tangent(pairs) * (2 / roughness**3))
+        return [shape, shape * slope, facets * (1 - grazing(pairs))]

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe
-from torchbrdf.lobes.fresnel import schlick
+from torchbrdf.lobes.fresnel import fresnel
 from torchbrdf.lobes.shape import v_groove
 from torchbrdf.pairs import Pairs
 
@@ -29,7 +29,7 @@ def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor
     low = position.floor().clamp_max(nodes - 2).to(torch.long)
     share = (position - low)[..., None]
     table = _at(distribution, low) * (1 - share) + _at(distribution, low + 1) * share
-    geometry = v_groove(pairs) / 4 * schlick(f0, pairs.cos_d)
+    geometry = v_groove(pairs) / 4 * fresnel(f0, pairs)
     return table * torch.where(pairs.above, geometry, 0)[..., None]
 
 
@@ -55,5 +55,5 @@ class DistributionBased(Lobe):
         log=True,
         doc="D at MERL's theta_h, per channel",
     )
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, doc="reflectance at normal incidence")
+    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
     function = staticmethod(distribution_based)

@@ -2,6 +2,8 @@
 
 from torch import Tensor
 
+from torchbrdf.pairs import Pairs
+
 
 def schlick(f0: Tensor, cos_d: Tensor) -> Tensor:
     """F0 + (1 - F0) (1 - cos_d)^5 (the paper's eq. 3).
@@ -9,6 +11,23 @@ def schlick(f0: Tensor, cos_d: Tensor) -> Tensor:
     f0: reflectance at normal incidence, broadcasts against cos_d. Source: C. Schlick, An Inexpensive BRDF Model
     for Physically-based Rendering, 1994, doi:10.1111/1467-8659.1330233.
     """
-    grazing = 1 - cos_d
-    fifth = grazing.square().square() * grazing
+    return _blend(f0, _fifth(cos_d))
+
+
+def fresnel(f0: Tensor, pairs: Pairs) -> Tensor:
+    """`schlick` on pairs, which keep the fifth power."""
+    return _blend(f0, grazing(pairs))
+
+
+def grazing(pairs: Pairs) -> Tensor:
+    """(1 - cos_d)^5, `(..., N)`."""
+    return pairs.keep("grazing", lambda: _fifth(pairs.cos_d))
+
+
+def _fifth(cos_d: Tensor) -> Tensor:
+    rest = 1 - cos_d
+    return rest.square().square() * rest
+
+
+def _blend(f0: Tensor, fifth: Tensor) -> Tensor:
     return f0 + (1 - f0) * fifth

@@ -25,3 +25,8 @@ class Lambert(Lobe):
 
     albedo = color(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
+
+    @classmethod
+    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """1 / pi."""
+        return [pairs.keep("lambert", lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]

@@ -18,7 +18,12 @@ def floored(cosine: Tensor) -> Tensor:
 
 def tangent(pairs: Pairs) -> Tensor:
     """tan2_h, finite at half vectors on the horizon."""
-    return pairs.tan2_h.clamp_max(TAN2_CEILING)
+    return pairs.keep("tangent", lambda: pairs.tan2_h.clamp_max(TAN2_CEILING))
+
+
+def log_secant(pairs: Pairs) -> Tensor:
+    """log(1 + tan2_h) = -2 log(cos_h), with all digits near 0."""
+    return pairs.keep("log_secant", lambda: torch.log1p(tangent(pairs)))
 
 
 def v_groove(pairs: Pairs) -> Tensor:
@@ -27,9 +32,13 @@ def v_groove(pairs: Pairs) -> Tensor:
     Shadowing and masking of V-shaped grooves (the paper's eq. 6); each term is divided on its own, so that grazing
     values stay finite.
     """
-    cos_i, cos_o = floored(pairs.cos_i), floored(pairs.cos_o)
-    masked = 2 * floored(pairs.cos_h) / (floored(pairs.cos_d) * torch.maximum(cos_i, cos_o))
-    return torch.minimum(1 / (cos_i * cos_o), masked)
+
+    def make() -> Tensor:
+        cos_i, cos_o = floored(pairs.cos_i), floored(pairs.cos_o)
+        masked = 2 * floored(pairs.cos_h) / (floored(pairs.cos_d) * torch.maximum(cos_i, cos_o))
+        return torch.minimum(1 / (cos_i * cos_o), masked)
+
+    return pairs.keep("v_groove", make)
 
 
 def colored(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:

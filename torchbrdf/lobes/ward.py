@@ -17,10 +17,15 @@ def ward(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
     Source: the paper's eq. 7; G. Ward, Measuring and Modeling Anisotropic Reflection, 1992,
     doi:10.1145/142920.134078.
     """
-    square = roughness.square()
-    geometry = torch.rsqrt(floored(pairs.cos_i)) * torch.rsqrt(floored(pairs.cos_o))
-    shape = torch.exp(-tangent(pairs) / square) * (geometry / (4 * math.pi * square))
-    return colored(pairs, shape, specular)
+    return colored(pairs, _shape(pairs, roughness), specular)
+
+
+def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
+    def geometry() -> Tensor:
+        return torch.rsqrt(floored(pairs.cos_i)) * torch.rsqrt(floored(pairs.cos_o)) / (4 * math.pi)
+
+    inverse = roughness.square().reciprocal()
+    return torch.exp(tangent(pairs) * -inverse) * (pairs.keep("ward", geometry) * inverse)
 
 
 @LOBES.register("ward")
@@ -30,3 +35,10 @@ class Ward(Lobe):
     specular = color(start=0.5, doc="specular albedo, per channel")
     roughness = Bounded(start=0.01, lower=0.001, upper=0.5, log=True, doc="alpha, the width of the lobe")
     function = staticmethod(ward)
+
+    @classmethod
+    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """d/d(alpha) = shape (2 tan2_h / alpha^3 - 2 / alpha)."""
+        (roughness,) = scalars
+        shape = _shape(pairs, roughness)
+        return [shape, shape * torch.add(-2 / roughness, tangent(pairs) * (2 / roughness**3))]

@@ -23,6 +23,18 @@ class Problem:
     target: Tensor
     weight: Tensor | None = None
 
+    def select(self, samples: Tensor) -> "Problem":
+        """Some of the pairs, by index."""
+        weight = self.weight
+        if weight is not None and weight.shape[1] > 1:
+            weight = weight[:, samples]
+        return Problem(self.pairs.select(samples=samples), self.target[:, samples], weight)
+
+    def material(self, k: int) -> "Problem":
+        """One material."""
+        weight = self.weight[k : k + 1] if self.weight is not None and len(self.weight) > 1 else self.weight
+        return Problem(self.pairs.select([k]), self.target[k : k + 1], weight)
+
 
 class Samples(Protocol):
     """What a loss asks of a measured BRDF."""
@@ -44,11 +56,15 @@ class Loss(nn.Module):
     pairs of weight 0 do not count (their values must be finite). The error has the shape `(...)` with
     reduction="none", and is a scalar with "mean" or "sum". Without any weight above 0 there is no error: nan.
 
-    A subclass registers itself, says in `needs` which quantities of Pairs it reads, and gives `pointwise`.
+    A subclass registers itself, says in `needs` which quantities of Pairs it reads, and gives `encode` and `penalty`,
+    each with its derivative beside it: the error's square is the mean of penalty(encode(prediction) - encode(target)).
     """
 
     needs: ClassVar[tuple[str, ...]] = ()
     subsets: ClassVar[bool] = True
+    rounding: ClassVar[tuple[float | None, ...]] = (None,)
+    """Widths over which a cusp at equal values is rounded on the way to a minimum, in units of the mean of what is
+    encoded, one after the other; None: there is no cusp."""
 
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__()
@@ -56,15 +72,41 @@ class Loss(nn.Module):
             raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
         self.reduction = reduction
 
-    def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """The difference of every value, at least 0, `(..., N, C)`."""
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """What is compared of each value, `(..., N, C)`."""
         raise NotImplementedError
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """`encode`, and its derivative by each value, at least 0."""
+        raise NotImplementedError
+
+    def penalty(self, difference: Tensor) -> Tensor:
+        """What each difference adds, at least 0."""
+        raise NotImplementedError
+
+    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """`penalty`, its derivative, and the curvature, at least 0, of a parabola that stands in for it nearby.
+
+        width, which broadcasts: a penalty with a cusp at 0 is rounded there over differences of this size.
+        """
+        raise NotImplementedError
+
+    def density(self, pairs: Pairs) -> Tensor | None:
+        """How much each pair counts beside its weight, `(..., N)`, if not all the same."""
+        return None
+
+    def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+        """The penalty of every value, `(..., N, C)`."""
+        return self.penalty(self.encode(prediction, pairs) - self.encode(target, pairs))
 
     def error(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
         """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
         self._check(prediction, target, pairs, weight)
+        density = None if pairs is None else self.density(pairs)
+        if density is not None:
+            weight = density[..., None] if weight is None else weight * density[..., None]
         return safe_sqrt(weighted_mean(self.pointwise(prediction, target, pairs), weight))
 
     def forward(
@@ -104,11 +146,15 @@ class LeastSquares(Loss):
 
     def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
         """Signed differences, `(..., N, C)`."""
-        raise NotImplementedError
+        return self.encode(prediction, pairs) - self.encode(target, pairs)
 
-    def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """The squared residuals."""
-        return self.residuals(prediction, target, pairs).square()
+    def penalty(self, difference: Tensor) -> Tensor:
+        """The square."""
+        return difference.square()
+
+    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """The square is its own parabola."""
+        return difference.square(), 2 * difference, difference.new_full((1, 1), 2)
 
 
 def cosine(pairs: Pairs | None) -> Tensor:

@@ -1,5 +1,6 @@
 """Differences of powers: the compressive reading of the cube root, and the family it belongs to."""
 
+import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
@@ -23,11 +24,17 @@ class CompressedLoss(LeastSquares):
             raise UsageError(f"CompressedLoss: expected an exponent above 0 and at most 2, found {exponent}")
         self.exponent, self.eps = exponent, eps
 
-    def _compress(self, x: Tensor) -> Tensor:
-        x = x.clamp_min(0)
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """(M cos_i)^p."""
+        x = (values * cosine(pairs)).clamp_min(0)
         return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
 
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """(A cos_i)^p - (M cos_i)^p."""
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """p (M cos_i)^(p - 1) cos_i, 0 for values of 0 or less."""
         cos_i = cosine(pairs)
-        return self._compress(prediction * cos_i) - self._compress(target * cos_i)
+        x = (values * cos_i).clamp_min(0)
+        positive = x > 0
+        base = torch.where(positive, x, 1) if self.eps == 0 else x + self.eps
+        power = base.pow(self.exponent)
+        slope = torch.where(positive, self.exponent * cos_i * power / base, 0)
+        return (torch.where(positive, power, 0) if self.eps == 0 else power), slope

@@ -1,5 +1,7 @@
 """Cosine-weighted root mean square error (eq. 9)."""
 
+from typing import ClassVar
+
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, LeastSquares, cosine
@@ -10,8 +12,13 @@ from torchbrdf.pairs import Pairs
 class CosineRMSLoss(LeastSquares):
     """sqrt(sum((M cos_i - A cos_i)^2) / n), the paper's eq. 9. Shapes as `Loss`."""
 
-    needs = ("cos_i",)
+    needs: ClassVar[tuple[str, ...]] = ("cos_i",)
 
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """(A - M) cos_i."""
-        return (prediction - target) * cosine(pairs)
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """M cos_i."""
+        return values * cosine(pairs)
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """cos_i."""
+        cos_i = cosine(pairs)
+        return values * cos_i, cos_i

@@ -1,5 +1,6 @@
 """The cube root of the squared, cosine-weighted difference (eq. 10)."""
 
+import torch
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine, safe_power
@@ -19,15 +20,38 @@ class CubeRootLoss(Loss):
     """
 
     needs = ("cos_i",)
+    # The last changes the error of a fit by less than 1e-4; without any, a fit ends in the nearest of countless kinks.
+    rounding = (0.1, 0.01, 0.001)
 
     def __init__(self, reduction: Reduction = "mean", eps: float = 1e-24) -> None:
         super().__init__(reduction)
         self.eps = eps
 
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """M cos_i."""
+        return values * cosine(pairs)
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """cos_i."""
+        cos_i = cosine(pairs)
+        return values * cos_i, cos_i
+
     def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """The cube root of the squared difference."""
-        square = ((prediction - target) * cosine(pairs)).square()
+        """The cube root of the squared difference, which is taken first: equal values are then exactly equal."""
+        return self.penalty((prediction - target) * cosine(pairs))
+
+    def penalty(self, difference: Tensor) -> Tensor:
+        """(d^2)^(1/3)."""
+        square = difference.square()
         if self.eps == 0:
             return safe_power(square, 1 / 3)
         # In float32 the difference of two equal roots may round to just below 0.
         return ((square + self.eps).pow(1 / 3) - self.eps ** (1 / 3)).clamp_min(0)
+
+    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Of (d^2 + width^2)^(1/3), with the parabola that touches it on both sides and is nowhere below it."""
+        square = difference.square() + (self.eps if width is None else width.square())
+        square = square.clamp_min(torch.finfo(square.dtype).tiny)
+        root = square.pow(1 / 3)
+        curvature = root / square * (2 / 3)
+        return root, curvature * difference, curvature

@@ -17,7 +17,12 @@ class LogLoss(LeastSquares):
 
     needs = ("cos_i",)
 
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """log(1 + A cos_i) - log(1 + M cos_i)."""
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """log(1 + M cos_i)."""
+        return torch.log1p((values * cosine(pairs)).clamp_min(0))
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """cos_i / (1 + M cos_i), 0 for negative values."""
         cos_i = cosine(pairs)
-        return torch.log1p((prediction * cos_i).clamp_min(0)) - torch.log1p((target * cos_i).clamp_min(0))
+        x = (values * cos_i).clamp_min(0)
+        return torch.log1p(x), torch.where(x > 0, cos_i / (1 + x), 0)

@@ -10,6 +10,10 @@ from torchbrdf.pairs import Pairs
 class RMSLoss(LeastSquares):
     """sqrt(sum((M - A)^2) / n), the paper's eq. 8; needs no pairs. Shapes as `Loss`."""
 
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """A - M."""
-        return prediction - target
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """The values as they are."""
+        return values
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """1."""
+        return values, values.new_ones(1, 1)

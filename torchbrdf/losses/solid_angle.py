@@ -1,14 +1,16 @@
 """Cosine-weighted root mean square error with the solid angle of a bin as weight."""
 
+from typing import ClassVar
+
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
-from torchbrdf.losses.base import LOSSES, LeastSquares, cosine
+from torchbrdf.losses.base import LOSSES
+from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.pairs import Pairs
 
 
 @LOSSES.register("solid_angle_cosine")
-class SolidAngleCosineRMSLoss(LeastSquares):
+class SolidAngleCosineRMSLoss(CosineRMSLoss):
     """sqrt(sum(w (M cos_i - A cos_i)^2) / sum(w)). Shapes as `Loss`.
 
     w is the solid angle d(omega_i) d(omega_o) that a MERL bin stands for, but for a constant:
@@ -20,21 +22,11 @@ class SolidAngleCosineRMSLoss(LeastSquares):
     doi:10.2312/EGWR/EGSR05/117-126, "weighted by the cosine and the solid angle"; the formula of w is our reading.
     """
 
-    needs = ("cos_i", "theta_h", "theta_d")
+    needs: ClassVar[tuple[str, ...]] = ("cos_i", "theta_h", "theta_d")
 
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """(A - M) cos_i."""
-        return (prediction - target) * cosine(pairs)
-
-    def error(
-        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
-    ) -> Tensor:
-        """As `Loss.error`; `weight` multiplies the solid angle."""
-        if pairs is None:
-            raise ShapeError("SolidAngleCosineRMSLoss: needs pairs for cos_i, theta_h, theta_d")
-        self._check(prediction, target, pairs, weight)
-        angle = solid_angle(pairs)[..., None]
-        return super().error(prediction, target, pairs, angle if weight is None else weight * angle)
+    def density(self, pairs: Pairs) -> Tensor | None:
+        """The solid angle."""
+        return solid_angle(pairs)
 
 
 def solid_angle(pairs: Pairs) -> Tensor:

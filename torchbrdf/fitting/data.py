@@ -1,0 +1,88 @@
+"""What a fit is compared with, laid out for speed."""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from torchbrdf.losses import Loss, Problem
+from torchbrdf.pairs import Pairs
+
+# Numbers (fits times pairs) that are worked on at a time; an array of so many float32 is 128 KiB.
+IN_CACHE = 1 << 15
+
+
+class Data:
+    """A problem under a loss: targets encoded once, channels before pairs, and pairs that keep what lobes derive.
+
+    target: `(M, 3, N)`; weight: `(M|1, 1|3, N)` or None; total: the sum of weights over pairs and channels, `(M,)`;
+    black: the squared error of a prediction that is 0 everywhere, `(M,)`; spread: the mean of the targets' magnitude,
+    `(M,)`; both are 1 where they would be 0 or there is no data, so that they can serve as units.
+    """
+
+    def __init__(self, problem: Problem, loss: Loss) -> None:
+        self.loss, self.pairs = loss, problem.pairs
+        materials, count = problem.target.shape[:2]
+        self.target = problem.target.new_empty(materials, 3, count)
+        density = loss.density(self.pairs)
+        weight = problem.weight
+        if density is not None:
+            weight = density[..., None] if weight is None else weight * density[..., None]
+        self.weight = None if weight is None else weight.transpose(1, 2)
+        sums = torch.zeros(3, materials, dtype=torch.float64, device=self.target.device)
+        for part, pairs in chunked(self.pairs, materials):
+            own = problem.target[:, part].transpose(1, 2).contiguous().transpose(1, 2)
+            encoded = loss.encode(own, pairs)
+            black = loss.penalty(loss.encode(torch.zeros_like(own), pairs) - encoded)
+            self.target[..., part] = encoded.transpose(1, 2)
+            counted = torch.ones_like(own[:1, :, :1]) if weight is None else weight[:, part]
+            counted = counted.expand(materials, -1, 3)
+            sums += torch.stack([(own * counted).sum((1, 2)).double() for own in (1 + 0 * black, black, encoded.abs())])
+        self.total, black, size = sums
+        self.black = torch.where(black > 0, black / self.total, 1)
+        self.spread = torch.where(size > 0, size / self.total, 1)
+        self._chunks: dict[int, list[tuple[slice, Pairs]]] = {}
+
+    def __len__(self) -> int:
+        return len(self.target)
+
+    def part(self, samples: slice, materials: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Targets and weights of some samples, for these materials."""
+        target = self.target[..., samples]
+        weight = None if self.weight is None else self.weight[..., samples]
+        if materials is not None:
+            target = target[materials]
+            weight = weight[materials] if weight is not None and len(weight) > 1 else weight
+        return target, weight
+
+    def chunks(self, fits: int) -> list[tuple[slice, Pairs]]:
+        """As `chunked`, but kept, with what lobes derive from the pairs."""
+        size = _size(fits)
+        if size not in self._chunks:
+            self._chunks[size] = list(chunked(self.pairs, fits))
+        return self._chunks[size]
+
+
+def chunked(pairs: Pairs, fits: int) -> Iterator[tuple[slice, Pairs]]:
+    """The pairs in parts, so small that an array of one number for each of so many fits stays in the cache."""
+    size = _size(fits)
+    for start in range(0, len(pairs), size):
+        part = slice(start, start + size)
+        yield part, pairs.select(samples=part)
+
+
+def _size(fits: int) -> int:
+    """Pairs of a part, a power of 2."""
+    return 1 << max(IN_CACHE // max(fits, 1), 256).bit_length() - 1
+
+
+def stratified(total: int, samples: int | None, seed: int) -> Tensor | None:
+    """One index, drawn at random, from each of `samples` equal stretches of range(total); None if that is all of it.
+
+    Every index is as likely as any other, so that a mean over the subset estimates the whole mean without bias.
+    """
+    if samples is None or samples >= total:
+        return None
+    generator = torch.Generator().manual_seed(seed)
+    within = torch.rand(samples, generator=generator, dtype=torch.float64)
+    return ((torch.arange(samples, dtype=torch.float64) + within) * (total / samples)).long().clamp_max(total - 1)
