@@ -24,7 +24,8 @@ class Fores2012(Recipe):
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
     losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
     lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares"})
-    strategy: str = "staged"
+    strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
+    beside: str | None = field(default="staged", metadata={"help": "another strategy to compare with, or none"})
     diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit"})
     max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
     samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
@@ -64,6 +65,7 @@ class Fores2012(Recipe):
             losses=self.losses,
             lobes=(1, 2) if self.lobes == 1 else (self.lobes,),
             strategy=self.strategy,
+            beside=self.beside,
             diffuse=self.diffuse,
             max_theta=self.max_theta,
             samples=samples,

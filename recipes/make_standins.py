@@ -45,6 +45,7 @@ class MakeStandins(Recipe):
             model,
             measured,
             CompressedLoss(),
+            strategy="staged",
             diffuse="fit",
             samples=samples,
             seed=self.seed,

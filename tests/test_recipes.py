@@ -138,15 +138,15 @@ def study(tmp_path_factory) -> Path:
 
 def test_a_study_has_a_record_for_every_fit(study):
     records = json.loads((study / "fits.json").read_text())
-    keys = {(r["material"], r["model"], r["loss"], r["lobes"]) for r in records}
-    assert len(keys) == len(records) == 2 * 1 * 3 * 2
+    keys = {(r["material"], r["model"], r["loss"], r["lobes"], r["strategy"]) for r in records}
+    assert len(keys) == len(records) == 2 * 1 * 3 * (2 + 1)
     for record in records:
         assert set(record["errors"]) == {"rms", "cosine", "cuberoot"}
         assert record["errors"][record["loss"]] == pytest.approx(record["error"], rel=1e-6)
         beaten = any(
             other["errors"][record["loss"]] < record["error"] * (1 - 1e-4)
             for other in records
-            if (other["material"], other["lobes"]) == (record["material"], record["lobes"])
+            if all(other[key] == record[key] for key in ("material", "lobes", "strategy"))
         )
         assert record["outlier"] == beaten
         assert ("differences" in record) == (record["lobes"] == 1)
@@ -157,6 +157,8 @@ def test_a_report_is_one_file_that_shows_every_picture(study):
     assert "http://" not in page and 'src="renders' not in page
     assert page.count("data:image/webp") == 2 * (1 + 1 + 3)  # reference, turned, three fits
     assert "Stand-ins." in page and "1 lobe or 2" in page
+    assert "Staged beside global" in page and "Does lower error look better?" in page
+    assert (study / "figures" / "strategies.png").stat().st_size > 1000
 
 
 def test_a_study_takes_up_what_is_finished(study):

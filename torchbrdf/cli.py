@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchbrdf import __version__
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
@@ -38,6 +38,8 @@ Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or fol
 
   torchbrdf fit nickel.binary --model ward --lobes 2 --loss cuberoot
   torchbrdf fit MERL/ --model cook_torrance --loss cosine --out fits/
+
+A folder is fitted in batches, and each is written as it is done: run the command again, and it goes on from there.
 """
 
 RENDER = """\
@@ -89,12 +91,12 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
     fit.add_argument("--lobes", type=int, default=2, help="specular lobes beside the diffuse one (default 2)")
     fit.add_argument("--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ...")
-    fit.add_argument("--strategy", default="staged", help="staged (default): the paper's procedure")
+    fit.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
     fit.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
     fit.add_argument("--max-theta", type=float, default=80.0, help="largest angle from the normal (default 80)")
-    fit.add_argument("--samples", type=int, default=20_000, help="pairs the solver sees; 0: all (default 20000)")
+    fit.add_argument("--samples", type=int, default=20_000, help="pairs of the search; 0: all (default 20000)")
     fit.add_argument("--seed", type=int, default=0, help="seed of the subset (default 0)")
-    fit.add_argument("--out", help="folder for fits.json and fits.csv")
+    fit.add_argument("--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again")
     fit.set_defaults(command=fit_command)
 
     render = _parser(commands.add_parser("render", help="draw measured BRDFs or fits"), RENDER)
@@ -140,37 +142,40 @@ def run_command(options: argparse.Namespace) -> int:
 def fit_command(options: argparse.Namespace) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.files import writable
-    from torchbrdf.fitting import fit, write_csv
-    from torchbrdf.lobes import make_model, write_fits
+    from torchbrdf.fitting import STRATEGIES, Batches
+    from torchbrdf.lobes import make_model, number
     from torchbrdf.losses import LOSSES
 
-    model, loss = make_model(options.model, options.lobes), LOSSES[options.loss]()
-    out = writable(options.out) if options.out else None
+    STRATEGIES[options.strategy]
+    batches = Batches(
+        make_model(options.model, options.lobes),
+        LOSSES[options.loss](),
+        out=writable(options.out) if options.out else None,
+        strategy=options.strategy,
+        diffuse=options.diffuse,
+        max_theta=options.max_theta,
+        samples=options.samples or None,
+        seed=options.seed,
+    )
     groups, complete = _load(options.files)
-    advance = bars("fits", sum(map(len, groups)))
-    records = []
-    for group in groups:
-        result = fit(
-            model,
-            group,
-            loss,
-            strategy=options.strategy,
-            diffuse=options.diffuse,
-            max_theta=options.max_theta,
-            samples=options.samples or None,
-            seed=options.seed,
-            progress=advance,
-        )
-        records += result.records()
+    records = batches.run(groups, bars("fits", sum(map(len, groups))))
     print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
     for record in records:
-        rest = "  ".join(f"{key} {_short(value)}" for key, value in record["parameters"].items())
-        print(f"{record['material']:32s} {record['error']:10.4g}  {record['status']:14s} {rest}")
-    if out:
-        write_fits(out / "fits.json", records)
-        write_csv(out / "fits.csv", records)
-        print(out / "fits.json")
+        rest = [f"{key} {_short(value)}" for key, value in record["parameters"].items()]
+        rest += [f"({note})" for note in _notes(record)]
+        print(
+            f"{record['material']:32s} {_short(number(record['error'])):>10s}  {record['status']:14s} {'  '.join(rest)}"
+        )
+    if options.out:
+        print(Path(options.out) / "fits.json")
     return 0 if complete else 1
+
+
+def _notes(record: dict[str, Any]) -> list[str]:
+    """What else there is to say of a fit."""
+    notes = [record["reason"]] if record["reason"] else []
+    notes += [f"{record['ties']} other minima within 1 %"] if record["ties"] else []
+    return notes + ([f"at a bound: {', '.join(record['at_bounds'])}"] if record["at_bounds"] else [])
 
 
 def render_command(options: argparse.Namespace) -> int:

@@ -11,14 +11,13 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.fitting.data import stratified
 from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.result import FitResult
-from torchbrdf.fitting.score import errors, groups
+from torchbrdf.fitting.score import errors, share_out
 from torchbrdf.fitting.solve import Task
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, joined
 from torchbrdf.fitting.variables import put_values, values_of
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.losses import LOSSES, Loss, Problem
 from torchbrdf.measured import Measured
-from torchbrdf.workers import each
 
 DIFFUSE = ("45:0", "fit")
 
@@ -73,12 +72,12 @@ def fit(
             task = Task(part, whole.select(subset.to(measured.device)), loss, max_iterations, whole)
         outcome = run(task, values_of(part), diffuse == "fit")
         put_values(part, outcome.values)
-        seen = errors(part, task.problem, [loss])[0]
-        error = seen if subset is None else errors(part, whole, [loss])[0]
+        seen = errors([part], task.problem, [loss])[0, 0]
+        error = seen if subset is None else errors([part], whole, [loss])[0, 0]
         return _Fitted(part.pack(), outcome, error, seen, _counts(whole))
 
     done: list[_Fitted] = []
-    for found in each(fit_some, groups(len(measured), len(measured.pairs))):
+    for found in share_out(fit_some, len(measured), len(measured.pairs)):
         done.append(found)
         if progress is not None:
             progress(len(found.error))

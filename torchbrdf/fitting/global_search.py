@@ -19,6 +19,8 @@ SEEDS = 6
 KEPT = 3
 # Samples that the starts are tried on.
 FEW = 4_000
+# One in so many of all samples is between the subset and all of them: steps there are cheap, and few are left to do.
+SHARE = 6
 # Errors that differ by less belong to the same minimum; minima within TIE of the best are worth another look.
 SAME, TIE = 1e-4, 0.01
 
@@ -51,14 +53,31 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     found = rivals.move(few, variables, parts, max_iterations=30, tolerance=1e-5, rounding=rounding[:1])
     outcome.add(f"{SEEDS + 1} starts, {len(few.problem.pairs)} samples", *rivals.best(found))
     rivals.keep(found, KEPT, 1.0)
-    found = rivals.move(task, variables, parts, max_iterations=task.max_iterations, rounding=rounding[-2:])
+    last = 1e-8 if task.whole is None else 1e-6
+    found = rivals.move(
+        task, variables, parts, max_iterations=task.max_iterations, tolerance=last, rounding=rounding[-2:]
+    )
     outcome.add(f"best {KEPT}, {len(task.problem.pairs)} samples", *rivals.best(found))
     if task.whole is not None:
-        rivals.keep(found, KEPT, TIE)
-        found = rivals.move(task.finish, variables, parts, max_iterations=30, tolerance=1e-7, rounding=rounding[-1:])
+        between = _between(task)
+        if between is not None:
+            rivals.keep(found, KEPT, TIE)
+            found = rivals.move(between, variables, parts, max_iterations=50, tolerance=1e-7, rounding=rounding[-1:])
+            outcome.add(f"{len(between.problem.pairs)} samples", *rivals.best(found))
+        rivals.keep(found, KEPT, TIE if between is None else TIE / 5)
+        found = rivals.move(task.finish, variables, parts, max_iterations=50, tolerance=1e-6, rounding=rounding[-1:])
         outcome.add(f"all {len(task.whole.pairs)} samples", *rivals.best(found))
     outcome.ties = rivals.ties(found)
     return outcome
+
+
+def _between(task: Task) -> Task | None:
+    """The task on a share of all samples, where those are many times what it works on."""
+    whole = task.finish
+    samples = stratified(len(whole.problem.pairs), len(whole.problem.pairs) // SHARE, 1)
+    if samples is None or len(samples) < 2 * len(task.problem.pairs):
+        return None
+    return whole.on(samples.to(whole.problem.target.device))
 
 
 def _joint(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
@@ -69,6 +88,8 @@ def _joint(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     parts = task.diffuse + task.specular
     variables = task.variables(parts if fit_diffuse else task.specular)
     outcome.add("all parameters", *solve(task, outcome.values, variables, parts))
+    if task.whole is not None:
+        outcome.add("all parameters, all samples", *solve(task.finish, outcome.values, variables, parts))
     outcome.ties = [0] * len(task)
     return outcome
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.fitting.lbfgs import RESOLUTION, Solution, Status
-from torchbrdf.fitting.quadratic import minimize_quadratic
+from torchbrdf.fitting.quadratic import Array, minimize_quadratic
 
 # Values (m,), gradients (m, P) and positive semi-definite matrices (m, P, P) at points (m, P) of these problems (m,).
 Quadratic = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
@@ -37,62 +38,79 @@ def minimize_squares(
 
     Source: K. Madsen, H. Nielsen, O. Tingleff, Methods for Non-linear Least Squares Problems, 2004, for the damping.
     """
-    lower, upper = lower.expand_as(start), upper.expand_as(start)
     if not bool((lower <= upper).all()):
         raise ShapeError("minimize_squares: a lower bound is above its upper bound")
-    problems = len(start)
-    x = start.clamp(lower, upper)
-    everyone = torch.arange(problems)
-    value, gradient, matrix = objective(x, everyone)
+    low, high = (bound.expand_as(start).cpu().numpy() for bound in (lower, upper))
+    x = start.cpu().numpy().clip(low, high)
+    problems = len(x)
+
+    def evaluate(point: Array, rows: Array) -> tuple[Array, Array, Array]:
+        there = (torch.from_numpy(part).to(start.device) for part in (point, rows))
+        value, gradient, matrix = (part.cpu().numpy() for part in objective(*there))
+        return value, gradient, matrix
+
+    rows = np.arange(problems)
+    value, gradient, matrix = evaluate(x, rows)
     status = [Status.MAX_ITERATIONS] * problems
-    iterations = torch.zeros(problems, dtype=torch.long)
-    lam = torch.full_like(value, damping)
-    growth = torch.full_like(value, 2.0)
-    trust = torch.ones_like(value)
+    iterations = np.zeros(problems, dtype=np.int64)
+    lam, growth, trust = np.full(problems, damping), np.full(problems, 2.0), np.ones(problems)
 
-    def finish(rows: Tensor, ended: Tensor, why: Status) -> Tensor:
-        for row in rows[ended].tolist():
+    def finish(ended: Array, why: Status) -> None:
+        for row in ended.tolist():
             status[row] = why
-        return rows[~ended]
 
-    def finite(f: Tensor, g: Tensor, h: Tensor) -> Tensor:
-        return f.isfinite() & g.isfinite().all(-1) & h.isfinite().all(-1).all(-1)
-
-    rows = finish(everyone, ~finite(value, gradient, matrix), Status.NOT_FINITE)
+    good = _finite(value, gradient, matrix)
+    finish(rows[~good], Status.NOT_FINITE)
+    rows = rows[good]
     for _ in range(max_iterations):
-        f, g, h, at = value[rows], gradient[rows], matrix[rows], x[rows]
-        low, high = lower[rows] - at, upper[rows] - at
-        promise, _ = _step(g, h, low, high, torch.full_like(f, SMALLEST))
-        size = f.abs() + negligible
-        done = promise <= tolerance * size
-        stuck = ~done & (lam[rows] >= LARGEST)
-        finish(rows, done | (stuck & (promise <= RESOLUTION * size)), Status.CONVERGED)
-        finish(rows, stuck & (promise > RESOLUTION * size), Status.STALLED)
-        left = ~(done | stuck)
-        rows, f, g, h, at, low, high = (kept[left] for kept in (rows, f, g, h, at, low, high))
         if not len(rows):
             break
-        h = h * trust[rows, None, None]
-        expected, step = _step(g, h, low, high, lam[rows])
+        room = low[rows] - x[rows], high[rows] - x[rows]
+        curved = matrix[rows] * trust[rows, None, None]
+        expected, step = _step(gradient[rows], curved, *room, lam[rows])
+        size = np.abs(value[rows]) + negligible
+        stuck = lam[rows] >= LARGEST
+        ending = np.flatnonzero((expected <= 100 * tolerance * size) | stuck)
+        if len(ending):
+            at = rows[ending]
+            undamped = np.full(len(at), SMALLEST)
+            promise, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
+            done = promise <= tolerance * size[ending]
+            minimum = done | (stuck[ending] & (promise <= RESOLUTION * size[ending]))
+            finish(at[minimum], Status.CONVERGED)
+            finish(at[stuck[ending] & ~minimum], Status.STALLED)
+            left = np.ones(len(rows), dtype=bool)
+            left[ending[minimum | stuck[ending]]] = False
+            rows, expected, step = rows[left], expected[left], step[left]
+            if not len(rows):
+                break
         iterations[rows] += 1
-        tried = torch.minimum(torch.maximum(at + step, lower[rows]), upper[rows])
-        f1, g1, h1 = objective(tried, rows)
-        good = finite(f1, g1, h1) & (f1 <= f - 1e-4 * expected) & (expected > 0)
-        ratio = torch.where(good, (f - f1) / expected, 0)
-        moved = rows[good]
-        x[moved], value[moved], gradient[moved], matrix[moved] = tried[good], f1[good], g1[good], h1[good]
-        shrink = (1 - (2 * ratio - 1) ** 3).clamp(0.1, 2)
-        lam[rows] = torch.where(good, (lam[rows] * shrink).clamp_min(SMALLEST), lam[rows] * growth[rows])
-        growth[rows] = torch.where(good, 2.0, growth[rows] * 2)
-        flatter = torch.where(ratio > 1.1, trust[rows] / 2, trust[rows])
-        trust[rows] = torch.where(good, flatter, trust[rows] * 3).clamp(FLATTEST, 1)
-    return Solution(x, value, status, iterations, iterations + 1)
+        tried = (x[rows] + step).clip(low[rows], high[rows])
+        f, g, h = evaluate(tried, rows)
+        better = _finite(f, g, h) & (f <= value[rows] - 1e-4 * expected) & (expected > 0)
+        ratio = np.where(better, (value[rows] - f) / np.where(better, expected, 1.0), 0.0)
+        moved = rows[better]
+        x[moved], value[moved], gradient[moved], matrix[moved] = tried[better], f[better], g[better], h[better]
+        shrink = (1 - (2 * ratio - 1) ** 3).clip(0.1, 2.0)
+        lam[rows] = np.where(better, (lam[rows] * shrink).clip(SMALLEST), lam[rows] * growth[rows])
+        growth[rows] = np.where(better, 2.0, growth[rows] * 2)
+        flatter = np.where(ratio > 1.1, trust[rows] / 2, trust[rows])
+        trust[rows] = np.where(better, flatter, trust[rows] * 3).clip(FLATTEST, 1.0)
+    count = torch.from_numpy(iterations)
+    return Solution(torch.from_numpy(x).to(start), torch.from_numpy(value).to(start), status, count, count + 1)
 
 
-def _step(g: Tensor, h: Tensor, low: Tensor, high: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """What the damped parabola promises to gain, not counting the damping, and the step to its least."""
-    diagonal = torch.diagonal(h, dim1=-2, dim2=-1)
-    floor = diagonal.amax(-1, keepdim=True).clamp_min(1e-300) * 1e-9
-    damped = h + torch.diag_embed(diagonal.clamp_min(floor) * damping[:, None] + floor * 1e-3)
-    step = minimize_quadratic(damped, g, low, high)
-    return -(g * step).sum(-1) - 0.5 * (step * (h @ step[..., None])[..., 0]).sum(-1), step
+def _finite(value: Array, gradient: Array, matrix: Array) -> Array:
+    found: Array = np.isfinite(value) & np.isfinite(gradient).all(-1) & np.isfinite(matrix).all((-2, -1))
+    return found
+
+
+def _step(gradient: Array, matrix: Array, low: Array, high: Array, damping: Array) -> tuple[Array, Array]:
+    """What the parabola promises to gain, not counting the damping, and the step to the damped parabola's least."""
+    diagonal = np.einsum("rpp->rp", matrix)
+    floor = diagonal.max(-1, keepdims=True).clip(1e-300) * 1e-9
+    damped = matrix.copy()
+    np.einsum("rpp->rp", damped)[...] += np.maximum(diagonal, floor) * damping[:, None] + floor * 1e-3
+    step = minimize_quadratic(damped, gradient, low, high)
+    gain: Array = -(gradient * step).sum(-1) - 0.5 * (step * (matrix @ step[..., None])[..., 0]).sum(-1)
+    return gain, step

@@ -1,6 +1,7 @@
 """Errors of fitted models on every valid sample, and the paper's test for local minima."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -10,10 +11,14 @@ from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.workers import each
+from torchbrdf.workers import each, each_apart
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
 BUDGET = 4_000_000
+# Pairs times materials above which processes are worth their start.
+HEAVY = 500_000
+
+Result = TypeVar("Result")
 
 
 def groups(materials: int, pairs: int) -> Iterator[list[int]]:
@@ -21,18 +26,29 @@ def groups(materials: int, pairs: int) -> Iterator[list[int]]:
     threads = torch.get_num_threads()
     most = max(1, BUDGET // max(pairs, 1))
     rounds = max(1, -(-materials // (most * threads)))
-    size = max(1, -(-materials // (rounds * threads)))
+    size = max(1, -(-materials // (rounds * threads * 2)))
     for first in range(0, materials, size):
         yield list(range(first, min(first + size, materials)))
 
 
+def share_out(function: Callable[[list[int]], Result], materials: int, pairs: int) -> Iterator[Result]:
+    """`function` of batches of materials, on all cores."""
+    run = each_apart if materials * pairs > HEAVY else each
+    yield from run(function, list(groups(materials, pairs)))
+
+
 def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
     """The error of a batched model under each loss on every sample of `measured`, `(L, M)`, float64."""
-    packed = model.pack()
+    return cross_score([model], measured, losses)[:, 0]
+
+
+def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Loss]) -> Tensor:
+    """The errors of several batched models of the same materials, `(L, K, M)`; every sample is read once."""
+    packed = [model.pack() for model in models]
 
     def score_some(rows: list[int]) -> Tensor:
         part = measured.batch(rows)
-        fitted = model.unpack(packed[rows])
+        fitted = [model.unpack(values[rows]) for model, values in zip(models, packed, strict=True)]
         analytic = [loss for loss in losses if _analytic(loss)]
         found = {}
         if analytic:
@@ -42,34 +58,31 @@ def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
                 found[id(loss)] = errors(fitted, loss.problem(part), [loss])[0]
         return torch.stack([found[id(loss)] for loss in losses])
 
-    return torch.cat(list(each(score_some, groups(len(measured), len(measured.pairs)))), 1)
+    return torch.cat(list(share_out(score_some, len(measured), len(measured.pairs))), -1)
 
 
-def errors(model: Lobe, problem: Problem, losses: Sequence[Loss]) -> Tensor:
-    """The error of a batched model under each loss, `(L, M)`, float64, on the CPU."""
+def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:
+    """The errors of batched models under some losses, `(L, K, M)`, float64, on the CPU."""
+    pairs, target, weight = problem.pairs, problem.target, problem.weight
     if not all(_analytic(loss) for loss in losses):
-        prediction = model(problem.pairs)
-        return torch.stack(
-            [loss.error(prediction, problem.target, problem.pairs, problem.weight).cpu() for loss in losses]
-        )
-    materials = len(problem.target)
-    sums = torch.zeros(len(losses), materials, dtype=torch.float64, device=problem.target.device)
-    totals = torch.zeros_like(sums)
-    for part, pairs in chunked(problem.pairs, materials):
-        target = problem.target[:, part].transpose(1, 2).contiguous().transpose(1, 2)
-        prediction = _predict(model, pairs).expand_as(target)
-        given = None if problem.weight is None else problem.weight[:, part]
+        found = [[loss.error(model(pairs), target, pairs, weight) for model in models] for loss in losses]
+        return torch.stack([torch.stack(row) for row in found]).cpu()
+    sums = torch.zeros(len(losses), len(models), len(target), dtype=torch.float64, device=target.device)
+    totals = torch.zeros_like(sums[:, 0])
+    for part, own in chunked(pairs, len(target)):
+        wanted = target[:, part].transpose(1, 2).contiguous().transpose(1, 2)
+        predictions = [_predict(model, own).expand_as(wanted) for model in models]
         for k, loss in enumerate(losses):
-            penalty, density, weight = loss.pointwise(prediction, target, pairs), loss.density(pairs), given
+            counted, density = None if weight is None else weight[:, part], loss.density(own)
             if density is not None:
-                weight = density[..., None] if weight is None else weight * density[..., None]
-            if weight is None:
-                totals[k] += target.shape[1] * 3
-            else:
-                penalty = penalty * weight
-                totals[k] += weight.expand(-1, -1, 3).sum((1, 2)).double()
-            sums[k] += penalty.sum((1, 2)).double()
-    return (sums / totals).sqrt().cpu()
+                counted = density[..., None] if counted is None else counted * density[..., None]
+            full = torch.ones_like(wanted[:1, :, :1]) if counted is None else counted
+            totals[k] += full.expand(-1, -1, 3).sum((1, 2)).double()
+            encoded = loss.encode(wanted, own)
+            for b, prediction in enumerate(predictions):
+                penalty = loss.penalty(loss.encode(prediction, own) - encoded)
+                sums[k, b] += (penalty if counted is None else penalty * counted).sum((1, 2)).double()
+    return (sums / totals[:, None]).sqrt().cpu()
 
 
 def _predict(model: Lobe, pairs: Pairs) -> Tensor:

@@ -20,7 +20,7 @@ class CubeRootLoss(Loss):
     """
 
     needs = ("cos_i",)
-    # The last changes the error of a fit by less than 1e-4; without any, a fit ends in the nearest of countless kinks.
+    # The last changes errors by less than 1e-3; without any, a fit ends in the nearest of countless kinks.
     rounding = (0.1, 0.01, 0.001)
 
     def __init__(self, reduction: Reduction = "mean", eps: float = 1e-24) -> None:

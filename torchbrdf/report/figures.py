@@ -17,6 +17,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
+from torchbrdf.report.study import Study
 
 STAND_IN = "stand-in materials, not measurements"
 COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
@@ -120,6 +121,41 @@ def quality_figure(
         panels[0].set_ylabel(f"{kind.__name__}{' in ' + kind.unit if kind.unit else ''} ({better} is better)")
         panels[-1].legend(frameon=False)
         _mark(figure, stand_in)
+        _save(figure, path)
+
+
+def beside_figure(path: Path, study: Study, ratio: np.ndarray, gain: np.ndarray) -> None:
+    """How many fits of each model either strategy leaves stuck, and what lower errors do for the pictures."""
+    ours = study.drawn(study.strategy)
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(10, 3.6), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
+        height = 0.38
+        for k, strategy in enumerate(reversed(study.strategies)):
+            records = study.drawn(strategy)
+            counts = [sum(r["outlier"] for r in records if r["model"] == model) for model in study.models]
+            place = np.arange(len(counts)) + (k - 0.5) * height
+            bars = left.barh(place, counts, height, label=strategy, color=("#c44e52", "#4c72b0")[k])
+            left.bar_label(bars, padding=3)
+        left.set_yticks(range(len(study.models)), [model.replace("_", "-") for model in study.models])
+        left.invert_yaxis()
+        left.margins(x=0.12)
+        left.set_xlabel(f"fits stuck in a local minimum, of {len(ours) // len(study.models)} a model")
+        left.legend(frameon=False)
+        for loss in study.losses:
+            chosen = np.array([record["loss"] == loss for record in ours])
+            right.plot(ratio[chosen], gain[chosen], "o", ms=5, alpha=0.8, color=COLORS.get(loss), label=loss)
+        right.axhline(0, color="grey", lw=0.8)
+        right.axvline(1, color="grey", lw=0.8)
+        right.set(
+            xscale="log", xlabel=f"error, {study.beside} over {study.strategy}",
+            ylabel=f"Delta E, {study.beside} less {study.strategy}\n(above 0: {study.strategy} looks closer)",
+        )  # fmt: skip
+        right.xaxis.set_minor_formatter("{x:g}")
+        right.xaxis.set_major_formatter("{x:g}")
+        right.tick_params(axis="x", which="minor", labelsize=7)
+        right.legend(frameon=False)
+        _mark(figure, any(group.stand_in for group in study.groups))
         _save(figure, path)
 
 

@@ -3,7 +3,6 @@
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +13,13 @@ from torchbrdf.files import write_text
 from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
-from torchbrdf.report.study import SHOWN_DIFFERENCES, Study, picture
+from torchbrdf.report.labels import Cell, loss_label, model_label
+from torchbrdf.report.strategies import compared
+from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
 
 # The paper's Figure 4 shows this material; its profile is unfolded.
 UNFOLDED = "alum-bronze"
-DIFFERENCE = "delta_e76"
 DIFFERENCE_LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "delta_e76": "ΔE 76"}
-LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A cell of a table."""
-
-    text: str
-    best: bool = False
-    outlier: bool = False
 
 
 def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str]) -> Path:
@@ -46,12 +36,13 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
     stand_in = any(group.stand_in for group in study.groups)
 
     figures = folder / "figures"
+    beside = compared(study)
     doi, contrast = zip(*(gloss[name] for name in order), strict=True)
     gloss_figure(figures / "gloss.png", order, doi, contrast, stand_in)
     quality_figure(figures / "delta_e.png", order, study.shown, study.models, study.losses, DIFFERENCE, stand_in)
     for model in study.models:
         lines = {"reference": [study.png(picture(name)) for name in order]}
-        lines |= {_loss(loss): [study.png(picture(name, model, loss)) for name in order] for loss in study.losses}
+        lines |= {loss_label(loss): [study.png(picture(name, model, loss)) for name in order] for loss in study.losses}
         grid_figure(figures / f"fits-{model}.png", order, lines, stand_in)
     advance = study.folder.progress("figures", len(order) * len(study.models))
     unfolded = UNFOLDED if UNFOLDED in order else order[0]
@@ -75,8 +66,8 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
     page = template.render(
         title=title,
         materials=order,
-        models=[{"label": _model(model), "rows": rows[model]} for model in study.models],
-        losses=[{"label": _loss(loss)} for loss in study.losses],
+        models=[{"label": model_label(model), "rows": rows[model]} for model in study.models],
+        losses=[{"label": loss_label(loss)} for loss in study.losses],
         columns=len(study.losses) + 2,
         lobes=study.lobes[0],
         strategy=study.strategy,
@@ -85,10 +76,17 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
         samples=f"a stratified subset of {study.samples}" if study.samples else "all of them",
         stand_in=stand_in,
         problems=problems,
-        findings=findings(study, order),
+        findings=findings(study, order) + (beside["findings"] if beside else []),
+        beside=beside
+        and {
+            "label": study.beside,
+            "figure": _png(beside["figure"]),
+            "pictures": beside["pictures"] and _png(beside["pictures"]),
+        },
         gloss=_png(figures / "gloss.png"),
         quality=_png(figures / "delta_e.png"),
         tables=[
+            *([beside["table"]] if beside else []),
             *_error_tables(study, order),
             _difference_table(study, order),
             _agreement_table(study),
@@ -116,23 +114,27 @@ def findings(study: Study, order: Sequence[str]) -> list[str]:
         if part:
             counts = numbers.best_counts(part, study.losses, DIFFERENCE)
             total = sum(counts.values())
-            said = ", ".join(f"{_loss(loss)} {counts[loss]}" for loss in study.losses)
-            means = ", ".join(f"{_loss(x)} {numbers.mean_difference(part, x, DIFFERENCE):.2f}" for x in study.losses)
+            said = ", ".join(f"{loss_label(loss)} {counts[loss]}" for loss in study.losses)
+            means = ", ".join(
+                f"{loss_label(x)} {numbers.mean_difference(part, x, DIFFERENCE):.2f}" for x in study.losses
+            )
             lines.append(
                 f"Of the {total} fits of a material and a model among the {label} half, the picture with the smallest "
                 f"ΔE came from: {said}. Mean ΔE: {means}."
             )
     stuck = sum(r["outlier"] for r in shown)
     by_model = ", ".join(
-        f"{_model(model)} {sum(numbers.outlier_count(shown, model, loss) for loss in study.losses)}"
+        f"{model_label(model)} {sum(numbers.outlier_count(shown, model, loss) for loss in study.losses)}"
         for model in study.models
     )
     lines.append(f"{stuck} of {len(shown)} fits are stuck in a local minimum by the paper's test ({by_model}).")
     odd = [r for r in shown if r["status"] != "converged"]
     if odd:
         lines.append(
-            f"{len(odd)} fits did not converge in every stage: "
-            + ", ".join(f"{r['material']} {_model(r['model'])} {_loss(r['loss'])} ({r['status']})" for r in odd[:8])
+            f"{len(odd)} fits did not converge: "
+            + ", ".join(
+                f"{r['material']} {model_label(r['model'])} {loss_label(r['loss'])} ({r['status']})" for r in odd[:8]
+            )
             + (", ..." if len(odd) > 8 else ".")
         )
     return lines
@@ -156,7 +158,7 @@ def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
     """Every error under every metric."""
     tables = []
     for model in study.models:
-        head = ["material", *(f"{_loss(m)}: {_loss(f)}" for m in study.losses for f in study.losses)]
+        head = ["material", *(f"{loss_label(m)}: {loss_label(f)}" for m in study.losses for f in study.losses)]
         rows = []
         for name in order:
             cells = [Cell(name)]
@@ -172,7 +174,7 @@ def _error_tables(study: Study, order: Sequence[str]) -> list[dict[str, Any]]:
             "metric: fit. Three columns for each metric, its error for the fits under each. Bold: the least. It should "
             "be that of the metric's own fit; where it is not, that fit is an outlier and framed."
         )
-        tables.append({"title": f"Errors, {_model(model)}", "note": note, "head": head, "rows": rows})
+        tables.append({"title": f"Errors, {model_label(model)}", "note": note, "head": head, "rows": rows})
     return tables
 
 
@@ -181,12 +183,12 @@ def _difference_table(study: Study, order: Sequence[str]) -> dict[str, Any]:
     head = [
         "material",
         "model",
-        *(f"{DIFFERENCE_LABELS[d]}, {_loss(x)}" for d in SHOWN_DIFFERENCES for x in study.losses),
+        *(f"{DIFFERENCE_LABELS[d]}, {loss_label(x)}" for d in SHOWN_DIFFERENCES for x in study.losses),
     ]
     rows = []
     for name in order:
         for model in study.models:
-            cells = [Cell(name), Cell(_model(model))]
+            cells = [Cell(name), Cell(model_label(model))]
             for difference in SHOWN_DIFFERENCES:
                 own = [study.record(name, model, loss) for loss in study.losses]
                 best = min(numbers.badness(record, difference) for record in own)
@@ -206,7 +208,7 @@ def _agreement_table(study: Study) -> dict[str, Any]:
     for metric in study.losses:
         values = [numbers.agreement(shown, metric, difference) for difference in SHOWN_DIFFERENCES]
         counts = [numbers.best_counts(shown, study.losses, difference)[metric] for difference in SHOWN_DIFFERENCES]
-        rows.append([Cell(_loss(metric)), *(Cell(f"{v:.2f}") for v in values), *(Cell(str(c)) for c in counts)])
+        rows.append([Cell(loss_label(metric)), *(Cell(f"{v:.2f}") for v in values), *(Cell(str(c)) for c in counts)])
     head = ["metric", *(f"agreement with {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES)]
     head += [f"best by {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES]
     note = (
@@ -224,7 +226,7 @@ def _lobes_table(study: Study) -> list[dict[str, Any]]:
     few, many = study.lobes[:2]
     rows = []
     for model in study.models:
-        cells = [Cell(_model(model))]
+        cells = [Cell(model_label(model))]
         for loss in study.losses:
             ratios = [
                 study.record(name, model, loss, few)["error"] / study.record(name, model, loss, many)["error"]
@@ -234,16 +236,13 @@ def _lobes_table(study: Study) -> list[dict[str, Any]]:
         rows.append(cells)
     note = f"Error with {few} lobe divided by the error with {many}, mean and range over the materials."
     return [
-        {"title": f"{few} lobe or {many}", "note": note, "head": ["model", *map(_loss, study.losses)], "rows": rows}
+        {
+            "title": f"{few} lobe or {many}",
+            "note": note,
+            "head": ["model", *map(loss_label, study.losses)],
+            "rows": rows,
+        }
     ]
-
-
-def _loss(name: str) -> str:
-    return LOSS_LABELS.get(name, name.replace("_", " "))
-
-
-def _model(name: str) -> str:
-    return "-".join(word.capitalize() for word in name.split("_"))
 
 
 def _png(path: Path) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.files import write_text
-from torchbrdf.fitting import fit, local_minima, score, write_csv
+from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_csv
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
 from torchbrdf.losses import LOSSES
@@ -21,18 +21,23 @@ from torchbrdf.render import Scene, render
 REFERENCE = "reference"
 # Image differences that the report speaks of, by their registered names.
 SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
+DIFFERENCE = "delta_e76"
 
 
 @dataclass
 class Study:
-    """What a study compares, the folder it works in, and its records, one a fit, as in `fits.json`."""
+    """What a study compares, the folder it works in, and its records, one a fit, as in `fits.json`.
+
+    beside: another strategy, whose fits with the first number of lobes are compared with those of `strategy`.
+    """
 
     folder: RunFolder
     groups: list[Measured]
     models: Sequence[str]
     losses: Sequence[str]
     lobes: Sequence[int] = (2,)
-    strategy: str = "staged"
+    strategy: str = "global"
+    beside: str | None = None
     diffuse: str = "45:0"
     max_theta: float = 80.0
     samples: int | None = 20_000
@@ -44,6 +49,10 @@ class Study:
             LOBES[name]
         for name in self.losses:
             LOSSES[name]
+        for name in (self.strategy, *([self.beside] if self.beside else [])):
+            STRATEGIES[name]
+        if self.beside == self.strategy:
+            raise UsageError(f"beside: expected another strategy than {self.strategy}, or none")
         names = self.materials
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -56,17 +65,25 @@ class Study:
 
     @property
     def shown(self) -> list[dict[str, Any]]:
-        """The records that are drawn: those of the first number of lobes."""
-        return [record for record in self.records if record["lobes"] == self.lobes[0]]
+        """The records that are drawn: those of the first number of lobes by the strategy."""
+        return self.drawn(self.strategy)
 
-    def record(self, material: str, model: str, loss: str, lobes: int | None = None) -> dict[str, Any]:
+    def drawn(self, strategy: str) -> list[dict[str, Any]]:
+        """The records of the first number of lobes by either strategy, in the order of materials, models, losses."""
+        return [
+            self.record(material, model, loss, strategy=strategy)
+            for material in self.materials
+            for model in self.models
+            for loss in self.losses
+        ]
+
+    def record(
+        self, material: str, model: str, loss: str, lobes: int | None = None, strategy: str | None = None
+    ) -> dict[str, Any]:
         """The record of one fit."""
-        lobes = self.lobes[0] if lobes is None else lobes
-        return next(
-            record
-            for record in self.records
-            if (record["material"], record["model"], record["loss"], record["lobes"]) == (material, model, loss, lobes)
-        )
+        wanted = (material, model, loss, lobes or self.lobes[0], strategy or self.strategy)
+        keys = ("material", "model", "loss", "lobes", "strategy")
+        return next(record for record in self.records if tuple(record[key] for key in keys) == wanted)
 
     # --- fits -----------------------------------------------------------------------------------------------------
 
@@ -74,14 +91,15 @@ class Study:
         """Fit everything that `fits.json` does not hold yet, and score it under every loss."""
         path = self.folder.path / "fits.json"
         self.records = read_fits(path) if path.exists() else []
-        total = len(self.materials) * len(self.models) * len(self.losses) * len(self.lobes)
-        advance = self.folder.progress("fits", total)
+        kinds = [(self.strategy, lobes) for lobes in self.lobes]
+        kinds += [(self.beside, self.lobes[0])] if self.beside else []
+        advance = self.folder.progress("fits", len(self.materials) * len(self.models) * len(self.losses) * len(kinds))
         advance(len(self.records))
-        for lobes in self.lobes:
+        for strategy, lobes in kinds:
             for model in self.models:
                 for group in self.groups:
-                    if not self._has(model, lobes, group):
-                        self.records += self._fit(model, lobes, group, advance)
+                    if not self._has(strategy, model, lobes, group):
+                        self.records += self._fit(strategy, model, lobes, group, advance)
                         self.save()
 
     def save(self) -> None:
@@ -89,18 +107,19 @@ class Study:
         write_fits(self.folder.path / "fits.json", self.records)
         write_csv(self.folder.path / "fits.csv", self.records)
 
-    def _has(self, model: str, lobes: int, group: Measured) -> bool:
-        there = {(record["model"], record["lobes"], record["material"]) for record in self.records}
-        return all((model, lobes, name) in there for name in group.names)
+    def _has(self, strategy: str, model: str, lobes: int, group: Measured) -> bool:
+        keys = ("strategy", "model", "lobes", "material")
+        there = {tuple(record[key] for key in keys) for record in self.records}
+        return all((strategy, model, lobes, name) in there for name in group.names)
 
-    def _fit(self, model: str, lobes: int, group: Measured, advance: Any) -> list[dict[str, Any]]:
+    def _fit(self, strategy: str, model: str, lobes: int, group: Measured, advance: Any) -> list[dict[str, Any]]:
         losses = [LOSSES[name]() for name in self.losses]
         results = [
             fit(
                 make_model(model, lobes),
                 group,
                 loss,
-                strategy=self.strategy,
+                strategy=strategy,
                 diffuse=self.diffuse,
                 max_theta=self.max_theta,
                 samples=self.samples,
@@ -110,7 +129,7 @@ class Study:
             for loss in losses
         ]
         seen = group.within(self.max_theta)
-        cross = torch.stack([score(result.model, seen, losses) for result in results], 1)
+        cross = cross_score([result.model for result in results], seen, losses)
         outliers = local_minima(cross)
         records = []
         for b, result in enumerate(results):
@@ -118,7 +137,9 @@ class Study:
                 record["errors"] = {name: cross[a, b, m].item() for a, name in enumerate(self.losses)}
                 record["outlier"] = bool(outliers[b, m])
                 records.append(record)
-            self.folder.log(f"{model}, {lobes} lobes, {result.loss}: {len(result.names)} fits, {result.seconds:.1f} s")
+            self.folder.log(
+                f"{strategy}: {model}, {lobes} lobes, {result.loss}: {len(result.names)} fits, {result.seconds:.1f} s"
+            )
         return records
 
     # --- pictures -------------------------------------------------------------------------------------------------
@@ -154,16 +175,26 @@ class Study:
         for group in self.groups:
             jobs.append((scene, group, [picture(name) for name in group.names]))
             jobs.append((turned, group, [picture(name, "turned") for name in group.names]))
-        for model in self.models:
-            chosen = [self.record(m, model, loss) for m in self.materials for loss in self.losses]
-            names = [picture(record["material"], model, record["loss"]) for record in chosen]
-            jobs.append((scene, model_of(chosen), names))
+        for strategy in self.strategies:
+            for model in self.models:
+                chosen = [record for record in self.drawn(strategy) if record["model"] == model]
+                jobs.append((scene, model_of(chosen), [self.picture(record) for record in chosen]))
         return jobs
 
+    @property
+    def strategies(self) -> list[str]:
+        """The strategy, and the one beside it."""
+        return [self.strategy, *([self.beside] if self.beside else [])]
+
+    def picture(self, record: dict[str, Any]) -> str:
+        """The name of the picture of a fit, without suffix."""
+        other = [record["strategy"]] if record["strategy"] != self.strategy else []
+        return picture(record["material"], record["model"], record["loss"], *other)
+
     def _compare(self, scene: Scene, turned: Scene) -> None:
-        chosen = [self.record(m, k, loss) for m in self.materials for k in self.models for loss in self.losses]
+        chosen = [record for strategy in self.strategies for record in self.drawn(strategy)]
         references = self._read([picture(name) for name in self.materials])
-        fitted = self._read([picture(r["material"], r["model"], r["loss"]) for r in chosen])
+        fitted = self._read([self.picture(record) for record in chosen])
         mask = scene.mask.expand(len(references) + len(fitted), *scene.mask.shape)
         tone = ToneMap.from_images(torch.cat([references, fitted]), mask)
         self.tone = tone
@@ -177,8 +208,7 @@ class Study:
         measures = {name: DIFFERENCES[name]() for name in SHOWN_DIFFERENCES}
         for record, linear in zip(chosen, fitted, strict=True):
             display = tone(linear)
-            name = picture(record["material"], record["model"], record["loss"])
-            write_png(self.png(name), over(display, scene.coverage))
+            write_png(self.png(self.picture(record)), over(display, scene.coverage))
             reference = shown[self.materials.index(record["material"])]
             record["differences"] = {
                 key: measure(display[None], reference[None], scene.mask).item() for key, measure in measures.items()

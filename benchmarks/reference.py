@@ -1,0 +1,74 @@
+"""The best errors that many random starts find: what `database.py` holds the global strategy against.
+
+    python benchmarks/reference.py FOLDER > benchmarks/reference.json
+
+For every material of FOLDER, three models and three metrics: 64 starts at random within the bounds (on the solver's
+scale), scipy's L-BFGS-B from each on 20,000 pairs with exact gradients, and from the best three on every pair within 80
+degrees; and the staged strategy. The smallest of these errors is kept. It takes about half an hour for ten materials.
+"""
+
+import json
+import sys
+
+import numpy as np
+import torch
+from common import METRICS, MODELS, lobes_of, losses, scipy_fit
+
+from torchbrdf.fitting import fit, stratified
+from torchbrdf.fitting.data import Data
+from torchbrdf.fitting.normal import SquaredError
+from torchbrdf.fitting.variables import limits
+from torchbrdf.lobes import make_model
+from torchbrdf.losses import Problem
+from torchbrdf.measured import load
+from torchbrdf.workers import each_apart
+
+STARTS, FINISHED, SAMPLES, SEED = 64, 3, 20_000, 0
+
+
+def best_of(measured, name, loss, k):
+    """The least error of one material."""
+    part = measured.batch([k])
+    model, values, variables = lobes_of(name, part)
+    low, high = (bound.numpy() for bound in limits(variables))
+
+    def objective(problem):
+        data = Data(problem, loss)
+        error = SquaredError(model, data, torch.tensor([0]), values, variables, [0, 1, 2], data.black)
+
+        def call(x):
+            value, gradient, _ = error(torch.from_numpy(x)[None], torch.tensor([0]), curvature=False)
+            return value.item(), gradient[0].numpy()
+
+        return call, data.black.sqrt().item()
+
+    few = part.batch(samples=stratified(len(part.pairs), SAMPLES, SEED))
+    call, _ = objective(Problem(few.pairs, few.values))
+    points = low + (high - low) * np.random.default_rng(SEED).random((STARTS, len(low)))
+    ends = [scipy_fit(call, x, variables)[0] for x in points]
+    ends.sort(key=lambda x: call(x)[0])
+    call, black = objective(Problem(part.pairs, part.values))
+    return min(call(scipy_fit(call, x, variables)[0])[0] for x in ends[:FINISHED]) ** 0.5 * black
+
+
+def main(folder):
+    """Write JSON to the standard output, and progress to the other."""
+    measured = load(folder)
+    low = measured.within(80.0)
+    found = {}
+    for name in MODELS:
+        for metric, loss in losses().items():
+            staged = fit(make_model(name, 2), measured, loss, strategy="staged").error.tolist()
+            random = list(each_apart(lambda k, n=name, ls=loss: best_of(low, n, ls, k), range(len(low))))
+            for material, one, other in zip(measured.names, staged, random, strict=True):
+                found[f"{material}/{name}/{metric}"] = {"staged": one, "random": other}
+            print(name, metric, [f"{a:.5g} {b:.5g}" for a, b in zip(staged, random, strict=True)], file=sys.stderr)
+    about = f"{STARTS} starts, best {FINISHED} finished, {SAMPLES} pairs, seed {SEED}; metrics {', '.join(METRICS)}"
+    json.dump(
+        {"command": "python benchmarks/reference.py FOLDER", "about": about, "errors": found}, sys.stdout, indent=1
+    )
+
+
+if __name__ == "__main__":
+    torch.set_grad_enabled(False)
+    main(sys.argv[1])

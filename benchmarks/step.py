@@ -1,0 +1,55 @@
+"""What one step on a full table costs, beside the least that is possible: one exp a pair and one pass over the data.
+
+python benchmarks/step.py NICKEL.binary
+"""
+
+import sys
+import time
+from functools import partial
+
+import torch
+from common import MODELS, lobes_of
+
+from torchbrdf.fitting.data import Data
+from torchbrdf.fitting.normal import SquaredError
+from torchbrdf.fitting.variables import encode
+from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
+from torchbrdf.measured import load
+
+
+def seconds(work, times=7):
+    """The median time of some runs."""
+    work()
+    found = []
+    for _ in range(times):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return sorted(found)[times // 2]
+
+
+def main(path):
+    """Print the table."""
+    measured = load(path).within(80.0)
+    pairs, target = measured.pairs, measured.values
+    tan2 = pairs.tan2_h.contiguous()
+    floor = seconds(lambda: (torch.exp(-tan2).sum(), target.sum()))
+    print(f"{len(pairs)} pairs, one thread; floor {1e3 * floor:.2f} ms: one exp a pair, one pass over the data")
+    for count in (1, 2):
+        for name in MODELS:
+            for loss in (RMSLoss(), CosineRMSLoss(), CompressedLoss(), LogLoss(), CubeRootLoss()):
+                model, values, variables = lobes_of(name, measured, count)
+                data = Data(Problem(pairs, target), loss)
+                one = torch.tensor([0])
+                parts = list(range(count + 1))
+                error = SquaredError(model, data, one, values, variables, parts, data.black, 0.01 * data.spread)
+                step = seconds(partial(error, encode(variables, values), one))
+                print(
+                    f"{name:18s} {count} lobes {type(loss).__name__:15s}{1e3 * step:8.2f} ms{step / floor:7.1f} floors"
+                )
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    torch.set_grad_enabled(False)
+    main(sys.argv[1])
