@@ -52,4 +52,5 @@ def main(path):
 if __name__ == "__main__":
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
+    torch.set_flush_denormal(True)
     main(sys.argv[1])

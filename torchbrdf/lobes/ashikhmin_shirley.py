@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
 from torchbrdf.lobes.fresnel import fresnel, grazing
-from torchbrdf.lobes.shape import colored, floored, log_secant
+from torchbrdf.lobes.shape import colored, decay, floored, log_secant
 from torchbrdf.pairs import Pairs
 
 
@@ -29,7 +29,7 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
         return 1 / (floored(pairs.cos_d) * torch.maximum(floored(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
 
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
-    return torch.exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.keep("ashikhmin", geometry) * (exponent + 1))
+    return decay(log_secant(pairs) * (-0.5 * exponent)) * (pairs.keep("ashikhmin", geometry) * (exponent + 1))
 
 
 @LOBES.register("ashikhmin_shirley")

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
 from torchbrdf.lobes.fresnel import fresnel, grazing
-from torchbrdf.lobes.shape import colored, log_secant, tangent, v_groove
+from torchbrdf.lobes.shape import colored, decay, log_secant, tangent, v_groove
 from torchbrdf.pairs import Pairs
 
 
@@ -28,7 +28,7 @@ def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
     inverse = roughness.square().reciprocal()
     exponent = torch.addcmul(pairs.keep("beckmann", lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
-    return exponent.exp() * (v_groove(pairs) * (inverse / math.pi))
+    return decay(exponent) * (v_groove(pairs) * (inverse / math.pi))
 
 
 @LOBES.register("cook_torrance")

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.shape import colored, floored, tangent
+from torchbrdf.lobes.shape import colored, decay, floored, tangent
 from torchbrdf.pairs import Pairs
 
 
@@ -25,7 +25,7 @@ def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
         return torch.rsqrt(floored(pairs.cos_i)) * torch.rsqrt(floored(pairs.cos_o)) / (4 * math.pi)
 
     inverse = roughness.square().reciprocal()
-    return torch.exp(tangent(pairs) * -inverse) * (pairs.keep("ward", geometry) * inverse)
+    return decay(tangent(pairs) * -inverse) * (pairs.keep("ward", geometry) * inverse)
 
 
 @LOBES.register("ward")
