@@ -276,3 +276,23 @@ def test_processes_find_what_threads_find(two_threads, monkeypatch):
         results.append(fit(make_model("ward", 2), measured, RMSLoss(), samples=300))
     assert torch.equal(results[0].model.pack(), results[1].model.pack())
     assert torch.equal(results[0].error, results[1].error)
+
+
+# --- devices ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("strategy", ["staged", "global"])
+def test_a_gpu_finds_what_the_cpu_finds(strategy):
+    measured = measured_from(two_lobes("cook_torrance", 3), some_pairs(2000), materials=3)
+    options = {"strategy": strategy, "samples": 500}
+    here, there = (fit(make_model("ward", 2), m, CubeRootLoss(), **options) for m in (measured, measured.to("cuda")))
+    torch.testing.assert_close(there.error, here.error, rtol=1e-3, atol=0)
+
+
+def test_a_large_batch_is_cut_for_the_cache_and_for_memory():
+    groups = importlib.import_module("torchbrdf.fitting.score").groups
+    measured = measured_from(two_lobes("ward"), some_pairs(1000), materials=9)
+    found = list(groups(measured))
+    assert [k for group in found for k in group] == list(range(9))
+    assert max(map(len, found)) <= -(-9 // torch.get_num_threads())

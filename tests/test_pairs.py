@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 from directions import from_half_diff, hemisphere
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -217,3 +218,22 @@ def test_differentiable() -> None:
         return pairs.cos_h, pairs.cos_d, pairs.tan2_h, pairs.theta_h, pairs.theta_d, pairs.phi_d
 
     assert torch.autograd.gradcheck(quantities, (wi, wo))
+
+
+def test_what_lobes_derive_is_kept_and_follows_a_selection() -> None:
+    wi, wo = hemisphere(1, 9, seed=1), hemisphere(1, 9, seed=2)
+    pairs = Pairs.from_directions(wi, wo)
+    made = []
+
+    def squared() -> Tensor:
+        made.append(1)
+        return pairs.cos_h.square()
+
+    first = pairs.keep("squared", squared)
+    assert pairs.keep("squared", squared) is first and len(made) == 1
+    part = pairs.select(samples=slice(2, 5))
+    assert torch.equal(part.keep("squared", squared), first[:, 2:5]) and len(made) == 1
+    moving = Pairs.from_directions(wi.requires_grad_(), wo)
+    value = moving.keep("squared", lambda: moving.cos_h.square())
+    assert value.requires_grad
+    assert moving.keep("squared", lambda: moving.cos_h.square()) is not value  # a graph is not kept

@@ -8,8 +8,9 @@ from torch import Tensor
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.pairs import Pairs
 
-# Numbers (fits times pairs) that are worked on at a time; an array of so many float32 is 128 KiB.
-IN_CACHE = 1 << 15
+# Numbers (fits times pairs) that are worked on at a time: on a processor as many as its cache holds of some dozen
+# arrays (one of float32 is 128 KiB), on a GPU as many as keep it busy.
+AT_ONCE = {"cpu": 1 << 15, "cuda": 1 << 24}
 
 
 class Data:
@@ -57,23 +58,24 @@ class Data:
 
     def chunks(self, fits: int) -> list[tuple[slice, Pairs]]:
         """As `chunked`, but kept, with what lobes derive from the pairs."""
-        size = _size(fits)
+        size = _size(fits, self.pairs)
         if size not in self._chunks:
             self._chunks[size] = list(chunked(self.pairs, fits))
         return self._chunks[size]
 
 
 def chunked(pairs: Pairs, fits: int) -> Iterator[tuple[slice, Pairs]]:
-    """The pairs in parts, so small that an array of one number for each of so many fits stays in the cache."""
-    size = _size(fits)
+    """The pairs in parts, so small that arrays of one number for each of so many fits stay in the cache."""
+    size = _size(fits, pairs)
     for start in range(0, len(pairs), size):
         part = slice(start, start + size)
         yield part, pairs.select(samples=part)
 
 
-def _size(fits: int) -> int:
+def _size(fits: int, pairs: Pairs) -> int:
     """Pairs of a part, a power of 2."""
-    return 1 << max(IN_CACHE // max(fits, 1), 256).bit_length() - 1
+    at_once = AT_ONCE.get(pairs.device.type, AT_ONCE["cpu"])
+    return 1 << max(at_once // max(fits, 1), 256).bit_length() - 1
 
 
 def stratified(total: int, samples: int | None, seed: int) -> Tensor | None:

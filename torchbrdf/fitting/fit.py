@@ -52,6 +52,8 @@ def fit(
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE)}, found {diffuse!r}")
     if samples is not None and samples < 1:
         raise UsageError(f"samples: expected at least 1, found {samples}")
+    if not len(measured):
+        raise UsageError("fit: expected at least one material, found none")
     began = time.perf_counter()
     run = STRATEGIES[strategy]
     measured = measured.within(max_theta)
@@ -77,7 +79,7 @@ def fit(
         return _Fitted(part.pack(), outcome, error, seen, _counts(whole))
 
     done: list[_Fitted] = []
-    for found in share_out(fit_some, len(measured), len(measured.pairs)):
+    for found in share_out(fit_some, measured):
         done.append(found)
         if progress is not None:
             progress(len(found.error))

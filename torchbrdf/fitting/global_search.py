@@ -50,7 +50,7 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
     tried = _join(seeds(few, values, fit_diffuse, SEEDS), staged)
     rivals = _Rivals(everyone.repeat(SEEDS + 1), tried)
-    found = rivals.move(few, variables, parts, max_iterations=30, tolerance=1e-5, rounding=rounding[:1])
+    found = rivals.move(few, variables, parts, max_iterations=30, tolerance=1e-5, rounding=rounding[:2])
     outcome.add(f"{SEEDS + 1} starts, {len(few.problem.pairs)} samples", *rivals.best(found))
     rivals.keep(found, KEPT, 1.0)
     last = 1e-8 if task.whole is None else 1e-6
@@ -58,6 +58,7 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
         task, variables, parts, max_iterations=task.max_iterations, tolerance=last, rounding=rounding[-2:]
     )
     outcome.add(f"best {KEPT}, {len(task.problem.pairs)} samples", *rivals.best(found))
+    outcome.ties = rivals.ties(found)
     if task.whole is not None:
         between = _between(task)
         if between is not None:
@@ -67,7 +68,6 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
         rivals.keep(found, KEPT, TIE if between is None else TIE / 5)
         found = rivals.move(task.finish, variables, parts, max_iterations=50, tolerance=1e-6, rounding=rounding[-1:])
         outcome.add(f"all {len(task.whole.pairs)} samples", *rivals.best(found))
-    outcome.ties = rivals.ties(found)
     return outcome
 
 

@@ -23,7 +23,7 @@ class FitResult:
     `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
     the solver saw, `(M,)` each; `status` says of each material whether the solver converged, and `reason` why not;
     `starts` is how many starts the strategy tried, `ties` how many other minima of each material came within 1 % of
-    the best; `history` has the stages. `seconds` is the time of the whole batch.
+    the best on the subset; `history` has the stages. `seconds` is the time of the whole batch.
     """
 
     names: list[str]

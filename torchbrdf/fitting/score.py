@@ -15,26 +15,31 @@ from torchbrdf.workers import each, each_apart
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
 BUDGET = 4_000_000
+# The same on a GPU, where one batch at a time is best.
+GPU_BUDGET = 400_000_000
 # Pairs times materials above which processes are worth their start.
 HEAVY = 500_000
 
 Result = TypeVar("Result")
 
 
-def groups(materials: int, pairs: int) -> Iterator[list[int]]:
+def groups(measured: Measured) -> Iterator[list[int]]:
     """Materials in batches: as many for each thread, and no more than the memory budget allows."""
-    threads = torch.get_num_threads()
-    most = max(1, BUDGET // max(pairs, 1))
-    rounds = max(1, -(-materials // (most * threads)))
-    size = max(1, -(-materials // (rounds * threads * 2)))
+    materials, pairs = len(measured), max(len(measured.pairs), 1)
+    if measured.device.type == "cuda":
+        size = max(1, GPU_BUDGET // pairs)
+    else:
+        threads = torch.get_num_threads()
+        rounds = max(1, -(-materials // (max(1, BUDGET // pairs) * threads)))
+        size = max(1, -(-materials // (rounds * threads * 2)))
     for first in range(0, materials, size):
         yield list(range(first, min(first + size, materials)))
 
 
-def share_out(function: Callable[[list[int]], Result], materials: int, pairs: int) -> Iterator[Result]:
+def share_out(function: Callable[[list[int]], Result], measured: Measured) -> Iterator[Result]:
     """`function` of batches of materials, on all cores."""
-    run = each_apart if materials * pairs > HEAVY else each
-    yield from run(function, list(groups(materials, pairs)))
+    run = each_apart if len(measured) * len(measured.pairs) > HEAVY and measured.device.type == "cpu" else each
+    yield from run(function, list(groups(measured)))
 
 
 def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
@@ -58,7 +63,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
                 found[id(loss)] = errors(fitted, loss.problem(part), [loss])[0]
         return torch.stack([found[id(loss)] for loss in losses])
 
-    return torch.cat(list(share_out(score_some, len(measured), len(measured.pairs))), -1)
+    return torch.cat(list(share_out(score_some, measured)), -1)
 
 
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:

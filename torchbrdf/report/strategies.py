@@ -60,9 +60,11 @@ def _findings(study: Study, ours: Records, theirs: Records) -> list[str]:
     if lower.any():
         lines.append(
             f"Does lower error look better? Of these {int(lower.sum())} fits the picture came closer to the reference "
-            f"in {seen} and farther in {worse} (by more than {VISIBLE} ΔE); in the mean ΔE fell by "
-            f"{gain[lower].mean():.2f}."
+            f"in {seen} and farther in {worse} (by more than {VISIBLE} ΔE); in the mean ΔE "
+            f"{'fell' if gain[lower].mean() > 0 else 'rose'} by {abs(gain[lower].mean()):.2f}."
         )
+    means = [np.mean([badness(record, DIFFERENCE) for record in part]) for part in (theirs, ours)]
+    lines.append(f"Mean ΔE over all {len(ours)} fits: {other} {means[0]:.2f}, {name} {means[1]:.2f}.")
     return lines
 
 
