@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 from directions import from_half_diff, hemisphere
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from torch import Tensor
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.pairs import Pairs

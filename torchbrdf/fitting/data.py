@@ -25,10 +25,7 @@ class Data:
         self.loss, self.pairs = loss, problem.pairs
         materials, count = problem.target.shape[:2]
         self.target = problem.target.new_empty(materials, 3, count)
-        density = loss.density(self.pairs)
-        weight = problem.weight
-        if density is not None:
-            weight = density[..., None] if weight is None else weight * density[..., None]
+        weight = loss.counted(self.pairs, problem.weight)
         self.weight = None if weight is None else weight.transpose(1, 2)
         sums = torch.zeros(3, materials, dtype=torch.float64, device=self.target.device)
         for part, pairs in chunked(self.pairs, materials):

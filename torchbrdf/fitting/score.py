@@ -78,9 +78,7 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
         wanted = target[:, part].transpose(1, 2).contiguous().transpose(1, 2)
         predictions = [_predict(model, own).expand_as(wanted) for model in models]
         for k, loss in enumerate(losses):
-            counted, density = None if weight is None else weight[:, part], loss.density(own)
-            if density is not None:
-                counted = density[..., None] if counted is None else counted * density[..., None]
+            counted = loss.counted(own, None if weight is None else weight[:, part])
             full = torch.ones_like(wanted[:1, :, :1]) if counted is None else counted
             totals[k] += full.expand(-1, -1, 3).sum((1, 2)).double()
             encoded = loss.encode(wanted, own)

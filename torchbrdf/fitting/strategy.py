@@ -33,7 +33,8 @@ def joined(stages: list[Stage]) -> Stage:
 class Outcome:
     """The values a strategy has come to, and the stages on the way.
 
-    starts: how many it tried; ties: of each material, how many other minima it found within 1 % of the best error on the subset.
+    starts: how many it tried; ties: of each material, how many other minima it found within 1 % of the best error on
+    the subset.
     """
 
     values: Values

@@ -95,6 +95,13 @@ class Loss(nn.Module):
         """How much each pair counts beside its weight, `(..., N)`, if not all the same."""
         return None
 
+    def counted(self, pairs: Pairs | None, weight: Tensor | None) -> Tensor | None:
+        """The weight of each pair with its density, `(..., N, 1)`; None if all count the same."""
+        density = None if pairs is None else self.density(pairs)
+        if density is None:
+            return weight
+        return density[..., None] if weight is None else weight * density[..., None]
+
     def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
         """The penalty of every value, `(..., N, C)`."""
         return self.penalty(self.encode(prediction, pairs) - self.encode(target, pairs))
@@ -104,10 +111,7 @@ class Loss(nn.Module):
     ) -> Tensor:
         """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
         self._check(prediction, target, pairs, weight)
-        density = None if pairs is None else self.density(pairs)
-        if density is not None:
-            weight = density[..., None] if weight is None else weight * density[..., None]
-        return safe_sqrt(weighted_mean(self.pointwise(prediction, target, pairs), weight))
+        return safe_sqrt(weighted_mean(self.pointwise(prediction, target, pairs), self.counted(pairs, weight)))
 
     def forward(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
