@@ -13,8 +13,8 @@ from torchbrdf.lobes import Lobe, model_name, read_fits, write_fits
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.measured import Measured
 
-# Materials of a batch: enough for all cores, few enough that little is lost when it is stopped.
-SIZE = 8
+# Materials of a batch for each core: few enough that little is lost when it is stopped.
+SIZE = 4
 
 
 class Batches:
