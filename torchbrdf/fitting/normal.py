@@ -41,13 +41,15 @@ class SquaredError:
         width: Tensor | None = None,
     ) -> None:
         self.data, self.materials, self.values, self.variables = data, materials, values, variables
-        self.lobes = [(k, model.parts()[k], _color(model.parts()[k])) for k in parts]
         self.scale, self.width = scale, width
         self.moved = {(variable.part, variable.bounded.name) for variable in variables}
+        lobes = [(k, model.parts()[k], _color(model.parts()[k])) for k in parts]
+        self.lobes = sorted(lobes, key=lambda lobe: (lobe[0], lobe[2]) not in self.moved)
         scalars = [(k, bounded.name) for k, lobe, _ in self.lobes for bounded in lobe.scalars()]
-        # The columns: s of every lobe, then the derivatives by scalars that move.
-        self.columns = [(k, color) for k, _, color in self.lobes] + [key for key in scalars if key in self.moved]
-        self.used = [q for q, key in enumerate(self.columns) if key in self.moved]
+        # The columns: derivatives by scalars that move, s of lobes whose colour does, s of the others; these two are
+        # what a prediction needs, the first two what derivatives do.
+        self.slopes = [key for key in scalars if key in self.moved]
+        self.used = self.slopes + [(k, color) for k, _, color in self.lobes if (k, color) in self.moved]
 
     def __call__(self, x: Tensor, rows: Tensor, curvature: bool = True) -> tuple[Tensor, Tensor, Tensor]:
         """Value `(m,)`, gradient `(m, P)` and Gauss-Newton matrix `(m, P, P)` of the problems `rows`, float64."""
@@ -65,7 +67,7 @@ class SquaredError:
             if pairs.shape[0] > 1 and not everyone:
                 pairs = pairs.select(materials)
             basis = torch.stack([column.expand(len(rows), -1) for column in self._evaluate(pairs, here, dtype)], 1)
-            prediction = torch.bmm(colors, basis[:, : len(self.lobes)])
+            prediction = torch.bmm(colors, basis[:, len(self.slopes) :])
             target, weight = data.part(part, None if everyone else materials)
             encoded, rate = loss.encode_slope(prediction.transpose(1, 2), pairs)
             rate = rate.transpose(-1, -2)
@@ -73,7 +75,7 @@ class SquaredError:
             if weight is not None:
                 penalty, slope, curve = penalty * weight, slope * weight, curve * weight
             value += penalty.sum((1, 2)).double()
-            basis = basis if len(self.used) == basis.shape[1] else basis[:, self.used]
+            basis = basis[:, : len(self.used)]
             slopes += torch.bmm(slope * rate, basis.transpose(1, 2)).double()
             if curvature:
                 curve = (curve * rate.square()).expand(len(rows), -1, basis.shape[2])
@@ -102,12 +104,12 @@ class SquaredError:
                 given = dict(zip(names, scalars, strict=True)) | {color: torch.ones_like(scalars[0])}
                 shape = type(lobe).function(pairs, **given)[..., 0]
             shapes.append(shape)
-        return shapes + slopes
+        return slopes + shapes
 
     def _jacobian(self, here: Values, colors: Tensor) -> Tensor:
         """How the used columns make up the derivative of each channel by each variable, `(R, 3, Q, P)`."""
         widths = [variable.width for variable in self.variables]
-        row = {self.columns[q]: i for i, q in enumerate(self.used)}
+        row = {key: i for i, key in enumerate(self.used)}
         order = {k: i for i, (k, _, _) in enumerate(self.lobes)}
         found = colors.new_zeros(len(colors), 3, len(row), sum(widths))
         p = 0

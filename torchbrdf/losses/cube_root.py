@@ -50,8 +50,8 @@ class CubeRootLoss(Loss):
 
     def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Of (d^2 + width^2)^(1/3), with the parabola that touches it on both sides and is nowhere below it."""
-        square = difference.square() + (self.eps if width is None else width.square())
-        square = square.clamp_min(torch.finfo(square.dtype).tiny)
+        tiny = torch.finfo(difference.dtype).tiny
+        square = difference.square() + (max(self.eps, tiny) if width is None else width.square())
         root = square.pow(1 / 3)
         curvature = root / square * (2 / 3)
         return root, curvature * difference, curvature
