@@ -339,3 +339,15 @@ def test_gradients_reach_every_part() -> None:
     total(some_pairs(20)).sum().backward()
     for value in total.parameters():
         assert (value.grad != 0).all()
+
+
+@pytest.mark.parametrize("bad", [(0.5, 1.0, 0.0), (2.0, 0.0, 1.0), (-1.0, 0.0, 1.0)])
+def test_bounds_the_wrong_way_round_are_refused(bad: tuple[float, float, float]) -> None:
+    """A lobe cannot even be declared with them; before Python 3.12 the error is wrapped."""
+    with pytest.raises((ShapeError, RuntimeError)) as raised:
+
+        class Odd(Lobe):
+            width = Bounded(*bad, doc="")
+
+    error = raised.value if isinstance(raised.value, ShapeError) else raised.value.__cause__
+    assert isinstance(error, ShapeError) and "Odd.width: expected lower <= start <= upper" in str(error)

@@ -38,6 +38,10 @@ class Bounded:
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
+        if not self.lower <= self.start <= self.upper or (self.log and self.lower <= 0):
+            found = f"lower {self.lower:g}, start {self.start:g}, upper {self.upper:g}"
+            above = "0 < " if self.log else ""
+            raise ShapeError(f"{owner.__name__}.{name}: expected {above}lower <= start <= upper, found {found}")
 
     @overload
     def __get__(self, lobe: None, owner: type) -> "Bounded": ...
