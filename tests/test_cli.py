@@ -30,6 +30,16 @@ def test_fit_prints_and_writes(paint, tmp_path, capsys):
     assert (out / "fits.csv").read_text().count("\n") == 2
 
 
+def test_fit_is_taken_up_where_it_stopped(paint, tmp_path, capsys):
+    arguments = ["fit", str(paint), "--lobes", "1", "--samples", "300", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    before = (tmp_path / "out" / "fits.json").stat().st_mtime_ns
+    assert main(arguments) == 0
+    assert (tmp_path / "out" / "fits.json").stat().st_mtime_ns == before
+    assert main([*arguments, "--loss", "rms"]) == 1
+    assert "give another folder" in capsys.readouterr().err
+
+
 def test_one_bad_file_is_reported_and_the_others_are_done(paint, tmp_path, capsys):
     bad = tmp_path / "broken.binary"
     bad.write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00" + bytes(100))

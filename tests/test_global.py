@@ -9,7 +9,6 @@ import pytest
 import torch
 from test_fit import Made, measured_from, some_pairs
 
-from torchbrdf.cli import main
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.fitting import Batches, Status, fit, score
 from torchbrdf.fitting.seeds import seeds
@@ -213,21 +212,6 @@ def test_batches_are_taken_up_where_they_stopped(tmp_path, monkeypatch):
             Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **{**options, **change})
     with pytest.raises(DataError, match="loss"):
         Batches(make_model("ward", 1), CubeRootLoss(), out=tmp_path, **options)
-
-
-def test_fit_on_the_command_line_is_taken_up(tmp_path, capsys):
-    from test_cli import paint as make_paint
-
-    paint = make_paint.__wrapped__(tmp_path) if hasattr(make_paint, "__wrapped__") else None
-    if paint is None:
-        pytest.skip("the fixture cannot be called")
-    arguments = ["fit", str(paint), "--lobes", "1", "--samples", "300", "--out", str(tmp_path / "out")]
-    assert main(arguments) == 0
-    before = (tmp_path / "out" / "fits.json").stat().st_mtime_ns
-    assert main(arguments) == 0
-    assert (tmp_path / "out" / "fits.json").stat().st_mtime_ns == before
-    assert main([*arguments, "--loss", "rms"]) == 1
-    assert "give another folder" in capsys.readouterr().err
 
 
 # --- processes ----------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.result import write_csv
 from torchbrdf.lobes import Lobe, model_name, read_fits, write_fits
-from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
 
 # Materials of a batch for each core: few enough that little is lost when it is stopped.
@@ -61,8 +61,7 @@ class Batches:
 
     def _check(self, record: dict[str, Any]) -> None:
         model, lobes = model_name(self.model)
-        loss = next((name for name, kind in LOSSES.items() if type(self.loss) is kind), type(self.loss).__name__)
-        wanted = {"model": model, "lobes": lobes, "loss": loss, **self.settings}
+        wanted = {"model": model, "lobes": lobes, "loss": self.loss.registered_name, **self.settings}
         if record.get("samples") is None:  # every pair: as asked for, or because there were no more
             wanted["samples"] = None
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed"):

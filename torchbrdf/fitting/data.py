@@ -34,8 +34,10 @@ class Data:
             black = loss.penalty(loss.encode(torch.zeros_like(own), pairs) - encoded)
             self.target[..., part] = encoded.transpose(1, 2)
             counted = torch.ones_like(own[:1, :, :1]) if weight is None else weight[:, part]
-            counted = counted.expand(materials, -1, 3)
-            sums += torch.stack([(own * counted).sum((1, 2)).double() for own in (1 + 0 * black, black, encoded.abs())])
+            counted = counted.expand(materials, own.shape[1], 3)
+            sums += torch.stack(
+                [one.sum((1, 2)).double() for one in (counted, black * counted, encoded.abs() * counted)]
+            )
         self.total, black, size = sums
         self.black = torch.where(black > 0, black / self.total, 1)
         self.spread = torch.where(size > 0, size / self.total, 1)

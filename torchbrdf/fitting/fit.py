@@ -16,7 +16,7 @@ from torchbrdf.fitting.solve import Task
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, joined
 from torchbrdf.fitting.variables import put_values, values_of
 from torchbrdf.lobes import Lambert, Lobe
-from torchbrdf.losses import LOSSES, Loss, Problem
+from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 
 DIFFUSE = ("45:0", "fit")
@@ -71,7 +71,7 @@ def fit(
         if subset is None:
             task = Task(part, whole, loss, max_iterations)
         else:
-            task = Task(part, whole.select(subset.to(measured.device)), loss, max_iterations, whole)
+            task = Task(part, whole.select(samples=subset.to(measured.device)), loss, max_iterations, whole)
         outcome = run(task, values_of(part), diffuse == "fit")
         put_values(part, outcome.values)
         seen = errors([part], task.problem, [loss])[0, 0]
@@ -99,7 +99,7 @@ def fit(
     return FitResult(
         names=measured.names,
         model=model.unpack(torch.cat([found.packed for found in done])),
-        loss=next((name for name, kind in LOSSES.items() if type(loss) is kind), type(loss).__name__),
+        loss=loss.registered_name,
         strategy=strategy,
         diffuse=diffuse,
         error=error,

@@ -34,15 +34,13 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     """
     if not task.analytic:
         return _joint(task, values, fit_diffuse)
-    parts = task.diffuse + task.specular
-    variables = task.variables(parts if fit_diffuse else task.specular)
+    parts, variables, everyone = task.parts, task.moved(fit_diffuse), task.everyone
     outcome = Outcome(values, starts=SEEDS + 1)
     few = task
     samples = stratified(len(task.problem.pairs), FEW, 0)
     if samples is not None:
         few = task.on(samples.to(task.problem.target.device))
     rounding = task.loss.rounding
-    everyone = torch.arange(len(task), device=task.problem.target.device)
 
     def quickly(start: Values, moved: list[Variable], present: list[int]) -> tuple[Values, Solution]:
         return descend(few, everyone, start, moved, present, max_iterations=20, tolerance=1e-4, rounding=rounding[:1])
@@ -85,11 +83,10 @@ def _joint(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     outcome = Outcome(values)
     for step in stages(task, values, fit_diffuse, lambda *move: solve(task, *move)):
         outcome.add(*step)
-    parts = task.diffuse + task.specular
-    variables = task.variables(parts if fit_diffuse else task.specular)
-    outcome.add("all parameters", *solve(task, outcome.values, variables, parts))
+    variables = task.moved(fit_diffuse)
+    outcome.add("all parameters", *solve(task, outcome.values, variables, task.parts))
     if task.whole is not None:
-        outcome.add("all parameters, all samples", *solve(task.finish, outcome.values, variables, parts))
+        outcome.add("all parameters, all samples", *solve(task.finish, outcome.values, variables, task.parts))
     outcome.ties = [0] * len(task)
     return outcome
 

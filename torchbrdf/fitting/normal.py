@@ -18,7 +18,7 @@ from torchbrdf.pairs import Pairs
 
 def applies(model: Lobe, loss: Loss) -> bool:
     """Whether the model and the loss have the form that is used here."""
-    return all(part.color() is not None for part in model.parts()) and type(loss).error is Loss.error
+    return all(part.color() is not None for part in model.parts()) and loss.analytic
 
 
 class SquaredError:
@@ -94,15 +94,14 @@ class SquaredError:
     def _evaluate(self, pairs: Pairs, here: Values, dtype: torch.dtype) -> list[Tensor]:
         shapes: list[Tensor] = []
         slopes: list[Tensor] = []
-        for k, lobe, color in self.lobes:
+        for k, lobe, _ in self.lobes:
             names = [bounded.name for bounded in lobe.scalars()]
             scalars = [here[k, name].to(dtype) for name in names]
             if not names or any((k, name) in self.moved for name in names):
                 shape, *tangents = type(lobe).linearized(pairs, *scalars)
                 slopes += [slope for slope, name in zip(tangents, names, strict=True) if (k, name) in self.moved]
             else:
-                given = dict(zip(names, scalars, strict=True)) | {color: torch.ones_like(scalars[0])}
-                shape = type(lobe).function(pairs, **given)[..., 0]
+                shape = type(lobe).white(pairs, *scalars)
             shapes.append(shape)
         return slopes + shapes
 

@@ -54,7 +54,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
     def score_some(rows: list[int]) -> Tensor:
         part = measured.batch(rows)
         fitted = [model.unpack(values[rows]) for model, values in zip(models, packed, strict=True)]
-        analytic = [loss for loss in losses if _analytic(loss)]
+        analytic = [loss for loss in losses if loss.analytic]
         found = {}
         if analytic:
             found = dict(zip(map(id, analytic), errors(fitted, analytic[0].problem(part), analytic), strict=True))
@@ -69,7 +69,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:
     """The errors of batched models under some losses, `(L, K, M)`, float64, on the CPU."""
     pairs, target, weight = problem.pairs, problem.target, problem.weight
-    if not all(_analytic(loss) for loss in losses):
+    if not all(loss.analytic for loss in losses):
         found = [[loss.error(model(pairs), target, pairs, weight) for model in models] for loss in losses]
         return torch.stack([torch.stack(row) for row in found]).cpu()
     sums = torch.zeros(len(losses), len(models), len(target), dtype=torch.float64, device=target.device)
@@ -97,15 +97,10 @@ def _predict(model: Lobe, pairs: Pairs) -> Tensor:
         if color is None:
             return model(pairs)
         albedo: Tensor = getattr(part, color.name)
-        named = {bounded.name: getattr(part, bounded.name) for bounded in part.scalars()}
-        shape = type(part).function(pairs, **{color.name: torch.ones_like(albedo[..., :1])}, **named)[..., 0]
+        shape = type(part).white(pairs, *(getattr(part, bounded.name) for bounded in part.scalars()))
         shapes.append(shape.expand(len(albedo), -1))
         colors.append(albedo)
     return torch.bmm(torch.stack(colors, 2), torch.stack(shapes, 1)).transpose(1, 2)
-
-
-def _analytic(loss: Loss) -> bool:
-    return type(loss).error is Loss.error
 
 
 def local_minima(cross: Tensor, tolerance: float = 1e-4) -> Tensor:

@@ -48,11 +48,11 @@ class Task:
 
     def on(self, samples: Tensor) -> "Task":
         """The same on some samples of the problem, by index."""
-        return replace(self, problem=self.problem.select(samples), whole=None)
+        return replace(self, problem=self.problem.select(samples=samples), whole=None)
 
     def of(self, material: int) -> "Task":
         """The same for one material."""
-        return replace(self, problem=self.problem.material(material), whole=None)
+        return replace(self, problem=self.problem.select(torch.tensor([material])), whole=None)
 
     @property
     def diffuse(self) -> list[int]:
@@ -63,6 +63,20 @@ class Task:
     def specular(self) -> list[int]:
         """Which are not."""
         return [k for k, part in enumerate(self.model.parts()) if not isinstance(part, Lambert)]
+
+    @property
+    def parts(self) -> list[int]:
+        """All of them, the diffuse first."""
+        return self.diffuse + self.specular
+
+    @property
+    def everyone(self) -> Tensor:
+        """The materials, by index."""
+        return torch.arange(len(self), device=self.problem.target.device)
+
+    def moved(self, fit_diffuse: bool) -> list[Variable]:
+        """All parameters that a fit moves."""
+        return self.variables(self.parts if fit_diffuse else self.specular)
 
     def variables(self, parts: list[int]) -> list[Variable]:
         """All parameters of these parts."""
@@ -104,9 +118,7 @@ def descend(
     scale = data.black[materials]
     x = encode(variables, values).to(scale.device)
     lower, upper = (bound.to(scale.device) for bound in limits(variables))
-    everyone = torch.arange(len(x), device=x.device)
     iterations = torch.zeros(len(x), dtype=torch.long)
-    exact = SquaredError(task.model, data, materials, values, variables, parts, scale)
     for share in task.loss.rounding if rounding is None else rounding:
         width = None if share is None else share * data.spread[materials]
         objective = SquaredError(task.model, data, materials, values, variables, parts, scale, width)
@@ -115,15 +127,15 @@ def descend(
         iterations += found.iterations
     found.iterations = iterations
     if width is not None:
-        found.value = exact(x, everyone, curvature=False)[0]
+        exact = SquaredError(task.model, data, materials, values, variables, parts, scale)
+        found.value = exact(x, torch.arange(len(x), device=x.device), curvature=False)[0]
     found.value = (found.value * scale).sqrt()
     return values | decode(variables, x, task.problem.target.dtype), found
 
 
 def _analytic(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Objective, Tensor]:
     data = task.data
-    everyone = torch.arange(len(data), device=data.target.device)
-    error = SquaredError(task.model, data, everyone, values, variables, parts, data.black)
+    error = SquaredError(task.model, data, task.everyone, values, variables, parts, data.black)
     return lambda x, rows: error(x, rows, curvature=False)[:2], data.black
 
 
@@ -135,15 +147,12 @@ def _graph(task: Task, values: Values, variables: list[Variable], parts: list[in
     held = {key: value for key, value in values.items() if key[0] in parts}
 
     def objective(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        pairs, target, weight = problem.pairs, problem.target, problem.weight
-        if len(rows) < len(task):
-            pairs, target = pairs.select(rows), target[rows]
-            weight = weight[rows] if weight is not None and len(weight) > 1 else weight
+        own = problem if len(rows) == len(task) else problem.select(rows)
         with torch.enable_grad():
             point = x.detach().requires_grad_()
-            here = {key: value[rows] for key, value in held.items()} | decode(variables, point, target.dtype)
-            prediction = evaluate(task.model, here, pairs, parts).expand_as(target)
-            value = loss.error(prediction, target, pairs, weight).square() / scale[rows]
+            here = {key: value[rows] for key, value in held.items()} | decode(variables, point, own.target.dtype)
+            prediction = evaluate(task.model, here, own.pairs, parts).expand_as(own.target)
+            value = loss.error(prediction, own.target, own.pairs, own.weight).square() / scale[rows]
             (gradient,) = torch.autograd.grad(value.sum(), point)
         return value.detach(), gradient
 

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Iterator
 
-import torch
-
 from torchbrdf.fitting.lbfgs import Solution
 from torchbrdf.fitting.solve import Task, descend, solve
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
@@ -27,13 +25,11 @@ def staged(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
         outcome.add(*step)
     if task.whole is not None:
         moved = _diffuse(task, fit_diffuse) + _albedos(task)
-        finish, parts = task.finish, task.diffuse + task.specular
+        finish, start, last = task.finish, outcome.values, task.loss.rounding[-1:]
         if finish.analytic:
-            everyone = torch.arange(len(task), device=task.problem.target.device)
-            last = task.loss.rounding[-1:]
-            end = descend(finish, everyone, outcome.values, moved, parts, max_iterations=30, rounding=last)
+            end = descend(finish, task.everyone, start, moved, task.parts, max_iterations=30, rounding=last)
         else:
-            end = solve(finish, outcome.values, moved, parts)
+            end = solve(finish, start, moved, task.parts)
         outcome.add("RGB albedo, shapes held, all samples", *end)
     return outcome
 
@@ -50,7 +46,7 @@ def stages(
             shaped.append(Variable(k, variable.bounded, 1) if scalar else variable)
         values, found = minimizer(values, moved + shaped, task.diffuse + task.specular[:count])
         yield f"{count} lobe{'s' if count > 1 else ''}, scalar albedo", values, found
-    values, found = minimizer(values, moved + _albedos(task), task.diffuse + task.specular)
+    values, found = minimizer(values, moved + _albedos(task), task.parts)
     yield "RGB albedo, shapes held", values, found
 
 

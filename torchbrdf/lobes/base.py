@@ -125,24 +125,30 @@ class Lobe(nn.Module):
         return [bounded for bounded in cls.declared.values() if bounded is not cls.color()]
 
     @classmethod
+    def white(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
+        """The scalar function of such a lobe, its values where its colour is 1, `(..., N)`."""
+        color = cls.color()
+        if color is None:
+            raise ShapeError(f"{cls.__name__} is no colour times a scalar function")
+        one = torch.ones_like(scalars[0]) if scalars else pairs.cos_i.new_ones(1)
+        named = dict(zip((bounded.name for bounded in cls.scalars()), scalars, strict=True))
+        return cls.function(pairs, **{color.name: one}, **named)[..., 0]
+
+    @classmethod
     def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
-        """The scalar function of such a lobe, and its derivative by each of `scalars`, `(..., N)` all.
+        """`white`, and its derivative by each of `scalars`, `(..., N)` all.
 
         Where both directions are above the horizon. By forward differentiation, unless a lobe knows a shorter way.
         """
-        white = torch.ones_like(scalars[0])
-        names = [bounded.name for bounded in cls.scalars()]
-        color = cls.color()
-        assert color is not None
         found: list[Tensor] = []
         for k, moved in enumerate(scalars):
             with forward_ad.dual_level():
-                own = [forward_ad.make_dual(moved, white) if i == k else other for i, other in enumerate(scalars)]
-                values = cls.function(pairs, **{color.name: white}, **dict(zip(names, own, strict=True)))
-                value, tangent = forward_ad.unpack_dual(values.squeeze(-1))
+                dual = forward_ad.make_dual(moved, torch.ones_like(moved))
+                own = [dual if i == k else other for i, other in enumerate(scalars)]
+                value, tangent = forward_ad.unpack_dual(cls.white(pairs, *own))
             found = found or [value]
             found.append(torch.zeros_like(value) if tangent is None else tangent)
-        return found
+        return found or [cls.white(pairs)]
 
     def parts(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""

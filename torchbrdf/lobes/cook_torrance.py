@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
 from torchbrdf.lobes.fresnel import fresnel, grazing
-from torchbrdf.lobes.shape import colored, decay, log_secant, tangent, v_groove
+from torchbrdf.lobes.shape import colored, decay, log_secant, tangent, v_groove, width_slope
 from torchbrdf.pairs import Pairs
 
 
@@ -46,5 +46,4 @@ class CookTorrance(Lobe):
         roughness, f0 = scalars
         facets = _facets(pairs, roughness)
         shape = facets * fresnel(f0, pairs)
-        slope = torch.add(-2 / roughness, tangent(pairs) * (2 / roughness**3))
-        return [shape, shape * slope, facets * (1 - grazing(pairs))]
+        return [shape, shape * width_slope(pairs, roughness), facets * (1 - grazing(pairs))]

@@ -37,6 +37,11 @@ def decay(exponent: Tensor) -> Tensor:
     return exponent.clamp_min(math.log(torch.finfo(exponent.dtype).tiny) + 7).exp()
 
 
+def width_slope(pairs: Pairs, width: Tensor) -> Tensor:
+    """Derivative of log(exp(-tan2_h / w^2) / w^2) by w: 2 tan2_h / w^3 - 2 / w."""
+    return torch.add(-2 / width, tangent(pairs) * (2 / width**3))
+
+
 def v_groove(pairs: Pairs) -> Tensor:
     """G / (cos_i cos_o), `(..., N)`, with G = min(1, 2 cos_h cos_o / cos_d, 2 cos_h cos_i / cos_d).
 

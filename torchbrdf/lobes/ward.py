@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.shape import colored, decay, floored, tangent
+from torchbrdf.lobes.shape import colored, decay, floored, tangent, width_slope
 from torchbrdf.pairs import Pairs
 
 
@@ -41,4 +41,4 @@ class Ward(Lobe):
         """d/d(alpha) = shape (2 tan2_h / alpha^3 - 2 / alpha)."""
         (roughness,) = scalars
         shape = _shape(pairs, roughness)
-        return [shape, shape * torch.add(-2 / roughness, tangent(pairs) * (2 / roughness**3))]
+        return [shape, shape * width_slope(pairs, roughness)]

@@ -23,17 +23,16 @@ class Problem:
     target: Tensor
     weight: Tensor | None = None
 
-    def select(self, samples: Tensor) -> "Problem":
-        """Some of the pairs, by index."""
-        weight = self.weight
-        if weight is not None and weight.shape[1] > 1:
-            weight = weight[:, samples]
-        return Problem(self.pairs.select(samples=samples), self.target[:, samples], weight)
-
-    def material(self, k: int) -> "Problem":
-        """One material."""
-        weight = self.weight[k : k + 1] if self.weight is not None and len(self.weight) > 1 else self.weight
-        return Problem(self.pairs.select([k]), self.target[k : k + 1], weight)
+    def select(self, materials: Tensor | None = None, samples: Tensor | None = None) -> "Problem":
+        """Some materials and some of the pairs, by index, as `Pairs.select`."""
+        target, weight = self.target, self.weight
+        if materials is not None:
+            target = target[materials]
+            weight = weight[materials] if weight is not None and len(weight) > 1 else weight
+        if samples is not None:
+            target = target[:, samples]
+            weight = weight[:, samples] if weight is not None and weight.shape[1] > 1 else weight
+        return Problem(self.pairs.select(materials, samples), target, weight)
 
 
 class Samples(Protocol):
@@ -71,6 +70,16 @@ class Loss(nn.Module):
         if reduction not in ("none", "mean", "sum"):
             raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
         self.reduction = reduction
+
+    @property
+    def registered_name(self) -> str:
+        """The name it is registered under; its class's, if it is not."""
+        return next((name for name, kind in LOSSES.items() if type(self) is kind), type(self).__name__)
+
+    @property
+    def analytic(self) -> bool:
+        """Whether the error is a mean over pairs of penalties, so that parts of the pairs can be summed apart."""
+        return type(self).error is Loss.error
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """What is compared of each value, `(..., N, C)`."""

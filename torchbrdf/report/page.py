@@ -73,7 +73,7 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
         strategy=study.strategy,
         diffuse=study.diffuse,
         max_theta=f"{study.max_theta:g}",
-        samples=f"a stratified subset of {study.samples}" if study.samples else "all of them",
+        samples=f"first a stratified subset of {study.samples}, then all" if study.samples else "all of them",
         stand_in=stand_in,
         problems=problems,
         findings=findings(study, order) + (beside["findings"] if beside else []),

@@ -7,7 +7,7 @@ import numpy as np
 
 from torchbrdf.report.figures import beside_figure, grid_figure
 from torchbrdf.report.labels import Cell, loss_label, model_label
-from torchbrdf.report.numbers import Records, badness, outlier_count
+from torchbrdf.report.numbers import Records, badness, mean_difference, outlier_count
 from torchbrdf.report.study import DIFFERENCE, Study, picture
 
 # An error that is lower, or higher, by less than this share is the same.
@@ -37,18 +37,18 @@ def compared(study: Study) -> dict[str, Any] | None:
         return None
     ours, theirs = study.drawn(study.strategy), study.drawn(study.beside)
     folder = study.folder.path / "figures"
-    beside_figure(folder / "strategies.png", study, ratios(ours, theirs), gains(ours, theirs))
+    ratio, gain = ratios(ours, theirs), gains(ours, theirs)
+    beside_figure(folder / "strategies.png", study, ratio, gain)
     return {
         "figure": folder / "strategies.png",
-        "pictures": _pictures(study, ours, theirs, folder / "strategies-pictures.png"),
-        "findings": _findings(study, ours, theirs),
-        "table": _table(study, ours, theirs),
+        "pictures": _pictures(study, ours, theirs, ratio, folder / "strategies-pictures.png"),
+        "findings": _findings(study, ours, theirs, ratio, gain),
+        "table": _table(study, ours, theirs, ratio, gain),
     }
 
 
-def _findings(study: Study, ours: Records, theirs: Records) -> list[str]:
+def _findings(study: Study, ours: Records, theirs: Records, ratio: np.ndarray, gain: np.ndarray) -> list[str]:
     name, other = study.strategy, study.beside
-    ratio, gain = ratios(ours, theirs), gains(ours, theirs)
     lower = ratio > 1 + SAME
     seen, worse = int((lower & (gain > VISIBLE)).sum()), int((lower & (gain < -VISIBLE)).sum())
     lines = [
@@ -68,19 +68,19 @@ def _findings(study: Study, ours: Records, theirs: Records) -> list[str]:
     return lines
 
 
-def _table(study: Study, ours: Records, theirs: Records) -> dict[str, Any]:
+def _table(study: Study, ours: Records, theirs: Records, ratio: np.ndarray, gain: np.ndarray) -> dict[str, Any]:
     rows = []
     for model in study.models:
         for loss in study.losses:
             chosen = [k for k, r in enumerate(ours) if (r["model"], r["loss"]) == (model, loss)]
             one, other = [ours[k] for k in chosen], [theirs[k] for k in chosen]
-            ratio, gain = ratios(one, other), gains(one, other)
+            own, better = ratio[chosen], gain[chosen]
             cells = [Cell(model_label(model)), Cell(loss_label(loss))]
             cells += [Cell(str(outlier_count(part, model, loss))) for part in (other, one)]
-            cells += [Cell(str(int((ratio > 1 + SAME).sum()))), Cell(f"{np.median(ratio):.3f}")]
-            cells += [Cell(f"{ratio.min():.3f} to {ratio.max():.3f}")]
-            cells += [Cell(f"{np.mean([r['differences'][DIFFERENCE] for r in part]):.2f}") for part in (other, one)]
-            cells += [Cell(f"{int((gain > VISIBLE).sum())} / {int((gain < -VISIBLE).sum())}")]
+            cells += [Cell(str(int((own > 1 + SAME).sum()))), Cell(f"{np.median(own):.3f}")]
+            cells += [Cell(f"{own.min():.3f} to {own.max():.3f}")]
+            cells += [Cell(f"{mean_difference(part, loss, DIFFERENCE):.2f}") for part in (other, one)]
+            cells += [Cell(f"{int((better > VISIBLE).sum())} / {int((better < -VISIBLE).sum())}")]
             rows.append(cells)
     name, other_name = study.strategy, study.beside
     head = ["model", "metric", f"stuck, {other_name}", f"stuck, {name}", f"{name} lower by 1 %"]
@@ -94,9 +94,8 @@ def _table(study: Study, ours: Records, theirs: Records) -> dict[str, Any]:
             "rows": rows}  # fmt: skip
 
 
-def _pictures(study: Study, ours: Records, theirs: Records, path: Path) -> Path | None:
+def _pictures(study: Study, ours: Records, theirs: Records, ratio: np.ndarray, path: Path) -> Path | None:
     """The fits whose error differs most, as pictures."""
-    ratio = ratios(ours, theirs)
     order = [k for k in np.argsort(-ratio)[:SHOWN] if ratio[k] > 1 + SAME]
     if not order:
         return None
