@@ -4,6 +4,8 @@ import importlib
 import json
 import math
 import os
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -250,6 +252,23 @@ def test_what_a_worker_raises_is_raised(two_threads):
 def test_a_worker_that_dies_is_said(two_threads):
     with pytest.raises(RuntimeError, match="ended without an answer"):
         list(each_apart(lambda k: os._exit(3), [0, 1, 2]))
+
+
+def test_processes_do_not_wait_for_locks_of_threads_that_are_gone():
+    """Products in threads, then in forks: MKL's allocator made this hang within a few rounds."""
+    code = """if True:
+        import torch
+        from torchbrdf.workers import each, each_apart
+
+        torch.set_num_threads(2)
+        a, b = torch.rand(4, 3, 33, 4000, dtype=torch.float64), torch.rand(1, 4000, 33, dtype=torch.float64)
+        work = lambda k: sum((a @ b).sum().item() for _ in range(4))
+        for _ in range(6):
+            torch.rand(3, 500, 500, requires_grad=True).square().sum().backward()
+            list(each(work, [0, 1]))
+            list(each_apart(work, [0, 1, 2, 3]))
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 def test_processes_find_what_threads_find(two_threads, monkeypatch):

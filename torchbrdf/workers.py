@@ -1,12 +1,15 @@
 """Two cores for many small steps."""
 
+import ctypes
 import multiprocessing
 import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import torch
@@ -46,6 +49,7 @@ def each_apart(function: Callable[[Item], Result], items: Sequence[Item]) -> Ite
     if count < 2 or not sys.platform.startswith("linux") or torch.cuda.is_initialized():
         yield from each(function, items)
         return
+    _release_buffers()()
     context = multiprocessing.get_context("fork")
     idle: list[Connection] = []
     workers = []
@@ -65,6 +69,18 @@ def each_apart(function: Callable[[Item], Result], items: Sequence[Item]) -> Ite
         for worker in workers:
             worker.terminate()
             worker.join()
+
+
+@cache
+def _release_buffers() -> Callable[[], object]:
+    """What has MKL give back the buffers of all threads.
+
+    Where threads that are gone have left some, a forked process waits in MKL's allocator for ever.
+    """
+    path = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
+    if torch.backends.mkl.is_available() and path.exists():
+        return getattr(ctypes.CDLL(str(path)), "mkl_serv_free_buffers", int)
+    return int  # no MKL, nothing to do
 
 
 def _serve(function: Callable[[Item], Result], items: Sequence[Item], parent: Connection) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, overload
@@ -15,6 +16,9 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes")
+
+# torch's forward differentiation has one level for all threads.
+_FORWARD = threading.Lock()
 
 
 @dataclass
@@ -142,7 +146,7 @@ class Lobe(nn.Module):
         """
         found: list[Tensor] = []
         for k, moved in enumerate(scalars):
-            with forward_ad.dual_level():
+            with _FORWARD, forward_ad.dual_level():
                 dual = forward_ad.make_dual(moved, torch.ones_like(moved))
                 own = [dual if i == k else other for i, other in enumerate(scalars)]
                 value, tangent = forward_ad.unpack_dual(cls.white(pairs, *own))
