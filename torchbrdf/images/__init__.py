@@ -1,14 +1,17 @@
 """How pictures are read, written, shown and compared."""
 
-from torchbrdf.images.differences import DIFFERENCES, Difference
+from torchbrdf.images.differences import DIFFERENCES, Difference, PixelDifference
 from torchbrdf.images.files import read_image, write_exr, write_png
-from torchbrdf.images.tonemap import ToneMap, luminance, over
+from torchbrdf.images.tonemap import ToneMap, displayed, luminance, measured, over
 
 __all__ = [
     "DIFFERENCES",
     "Difference",
+    "PixelDifference",
     "ToneMap",
+    "displayed",
     "luminance",
+    "measured",
     "over",
     "read_image",
     "write_exr",

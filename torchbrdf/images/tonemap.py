@@ -23,6 +23,27 @@ def over(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
     return torch.lerp(torch.full_like(display, background), display, coverage[..., None].to(display))
 
 
+def measured(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
+    """The log-average and the white of luminances `(..., n)`, `(...)` each, float64."""
+    light = light.to(torch.float64).clamp_min(0)
+    log_average = (light + _DELTA).log().mean(-1).exp()
+    return log_average, key * light.amax(-1) / log_average
+
+
+def displayed(
+    image: Tensor, log_average: Tensor | float, white: Tensor | float, key: float = 0.18, gamma: float = 2.2
+) -> Tensor:
+    """What `ToneMap` does, also with numbers of their own for each of several pictures, `(..., 1)`."""
+    image = image.clamp_min(0)
+    exposure = key / log_average
+    scaled = luminance(image)[..., None] * exposure
+    # L_d / Y without a division by Y, so that black has a finite gradient.
+    ratio = exposure * (1 + scaled / white**2) / (1 + scaled)
+    shown = (image * ratio).clamp_max(1)
+    positive = shown > 0
+    return torch.where(positive, torch.where(positive, shown, 1).pow(1 / gamma), 0)
+
+
 @dataclass(frozen=True)
 class ToneMap:
     """Reinhard's global operator with its two scene-dependent numbers fixed, so that pictures stay comparable.
@@ -63,18 +84,12 @@ class ToneMap:
         largest = float(light.max())
         if not (math.isfinite(largest) and largest > 0 and bool(light.isfinite().all())):
             raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
-        log_average = math.exp(float((light + _DELTA).log().mean(dtype=torch.float64)))
-        return cls(log_average, key * largest / log_average, key, gamma, phi)
+        log_average, white = measured(light.flatten(), key)
+        return cls(log_average.item(), white.item(), key, gamma, phi)
 
     def __call__(self, image: Tensor) -> Tensor:
         """Display values in [0, 1] of linear `(..., 3)`; negative values count as 0, with gradient 0."""
-        image = image.clamp_min(0)
-        scaled = luminance(image)[..., None] * (self.key / self.log_average)
-        # L_d / Y without a division by Y, so that black has a finite gradient.
-        ratio = (self.key / self.log_average) * (1 + scaled / self.white**2) / (1 + scaled)
-        shown = (image * ratio).clamp_max(1)
-        positive = shown > 0
-        return torch.where(positive, torch.where(positive, shown, 1).pow(1 / self.gamma), 0)
+        return displayed(image, self.log_average, self.white, self.key, self.gamma)
 
     def to_dict(self) -> dict[str, float]:
         """The numbers by name, for a record."""

@@ -19,7 +19,7 @@ from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
 
 # The paper's Figure 4 shows this material; its profile is unfolded.
 UNFOLDED = "alum-bronze"
-DIFFERENCE_LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "delta_e76": "ΔE 76"}
+DIFFERENCE_LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "delta_e": "ΔE 76"}
 
 
 def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str]) -> Path:

@@ -20,8 +20,8 @@ from torchbrdf.render import Scene, render
 
 REFERENCE = "reference"
 # Image differences that the report speaks of, by their registered names.
-SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
-DIFFERENCE = "delta_e76"
+SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e")
+DIFFERENCE = "delta_e"
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""What an image difference is: one number for each pair of display pictures."""
+"""What an image difference is: one number for each pair of pictures, to report and to minimise."""
 
 from typing import ClassVar
 
@@ -10,35 +10,111 @@ from torchbrdf.registry import Registry
 
 DIFFERENCES: Registry[type["Difference"]] = Registry("difference", "torchbrdf.images.differences")
 
+# What both pictures show where nothing counts, so that windows that reach there see them equal.
+_GREY = 0.5
+
 
 class Difference:
     """A number for each pair of pictures: `difference(image, reference, mask)` gives `(B,)`.
 
-    Pictures are display values in [0, 1], `(B, H, W, 3)`; the mask, `(H, W)` or `(B, H, W)`, says which pixels count.
-    A subclass registers itself, says which way is better and in what unit, and gives `compare`.
+    Pictures are `(B, H, W, 3)`, float: linear radiance if `linear`, else display values in [0, 1]. The mask, `(H, W)`
+    or `(B, H, W)`, says which pixels count; elsewhere both pictures are taken for grey (0.5), whatever they hold.
+    Calling gives the figure that is reported; `loss` gives what a fit minimises, a measure of the same thing.
+
+    A subclass registers itself, says what it compares, which way is better, in what unit and on how small a picture,
+    and gives `compare`, the figure; and `objective`, where the figure is not itself a loss.
     """
 
-    higher_is_better: ClassVar[bool]
+    linear: ClassVar[bool] = False
+    higher_is_better: ClassVar[bool] = False
     unit: ClassVar[str] = ""
+    least_side: ClassVar[int] = 1
+    """The smallest side, in pixels, of the pictures that it is defined for."""
+
+    @property
+    def registered_name(self) -> str:
+        """The name it is registered under; its class's, if it is not."""
+        return next((name for name, kind in DIFFERENCES.items() if type(self) is kind), type(self).__name__)
 
     def __call__(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
         """The difference of every picture from its reference, `(B,)`; without a pixel that counts, nan."""
+        return self.compare(*self._checked(image, reference, mask))
+
+    def loss(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
+        """What a fit minimises, `(B,)`: at least 0, and 0 for equal pictures; without a pixel that counts, nan.
+
+        Its gradient is finite everywhere: where the true one is infinite or undefined, as at equal pixels, it is 0.
+        """
+        return self.objective(*self._checked(image, reference, mask))
+
+    def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+        """The figure, `(B,)`, of checked pictures of one dtype; mask `(B, H, W)`, bool."""
+        raise NotImplementedError
+
+    def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+        """The loss, `(B,)`, of checked pictures: the figure, if nothing else is said."""
+        return self.compare(image, reference, mask)
+
+    def _checked(self, image: Tensor, reference: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         name = type(self).__name__
         if image.dim() != 4 or image.shape[-1] != 3 or image.shape != reference.shape:
             shapes = f"image {(*image.shape,)}, reference {(*reference.shape,)}"
             raise ShapeError(f"{name}: expected two pictures (B, H, W, 3), found {shapes}")
-        counted = torch.ones(image.shape[:-1], dtype=torch.bool, device=image.device)
-        if mask is not None:
-            if mask.shape not in (image.shape[1:3], image.shape[:3]):
-                raise ShapeError(f"{name}: expected a mask {(*image.shape[1:3],)}, found {(*mask.shape,)}")
-            counted = counted & mask.to(image.device, torch.bool)
-        return self.compare(image, reference, counted)
+        if not (image.is_floating_point() and reference.is_floating_point()):
+            raise ShapeError(f"{name}: expected pictures of floats, found {image.dtype} and {reference.dtype}")
+        if min(image.shape[1:3]) < self.least_side:
+            side, shape = self.least_side, (*image.shape,)
+            raise ShapeError(f"{name}: expected pictures of at least {side} x {side} pixels, found {shape}")
+        dtype = torch.promote_types(image.dtype, reference.dtype)
+        image, reference = image.to(dtype), reference.to(dtype)
+        if mask is None:
+            return image, reference, torch.ones(image.shape[:-1], dtype=torch.bool, device=image.device)
+        if mask.shape not in (image.shape[1:3], image.shape[:3]):
+            raise ShapeError(f"{name}: expected a mask {(*image.shape[1:3],)}, found {(*mask.shape,)}")
+        mask = mask.to(image.device, torch.bool).expand(image.shape[:3])
+        counted = mask[..., None]
+        return torch.where(counted, image, _GREY), torch.where(counted, reference, _GREY), mask
+
+
+class PixelDifference(Difference):
+    """A mean over pixels of how far apart they are, each encoded by itself, so that Gauss-Newton solvers apply.
+
+    With e = encode(image) - encode(reference), `(..., F)`, and |e| its length in a pixel:
+    power 2: the figure is sqrt(mean(|e|^2) / F), the root mean square, and the loss the mean square mean(|e|^2) / F;
+    power 1: figure and loss are mean(|e|), with gradient 0 in pixels where e = 0.
+    A subclass gives `encode`.
+    """
+
+    power: ClassVar[int] = 2
+
+    def encode(self, picture: Tensor) -> Tensor:
+        """What is compared of every pixel: `(..., 3)` to `(..., F)`."""
+        raise NotImplementedError
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
-        """The difference, `(B,)`, of checked pictures; mask `(B, H, W)`."""
-        raise NotImplementedError
+        """The root mean square, or the mean length."""
+        objective = self.objective(image, reference, mask)
+        return safe_power(objective, 0.5) if self.power == 2 else objective
+
+    def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+        """The mean square, or the mean length."""
+        apart = self.encode(image) - self.encode(reference)
+        if self.power == 2:
+            return masked_mean(apart.square().mean(-1), mask)
+        return masked_mean(torch.linalg.vector_norm(apart, dim=-1), mask)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Mean of `(B, H, W)` over the pixels of the mask, `(B,)`."""
     return torch.where(mask, values, 0).sum((-2, -1)) / mask.sum((-2, -1))
+
+
+def safe_power(x: Tensor, exponent: float) -> Tensor:
+    """x^exponent, with value and gradient 0 at 0 and below, where that of an exponent below 1 is infinite or nan."""
+    positive = x > 0
+    return torch.where(positive, torch.where(positive, x, 1).pow(exponent), 0 * x)  # 0 * x: nan stays nan
+
+
+def channels_first(picture: Tensor) -> Tensor:
+    """`(B, H, W, 3)` as `(B, 3, H, W)`."""
+    return torch.movedim(picture, -1, 1)

@@ -1,11 +1,9 @@
 """Structural similarity."""
 
-import torch
 from kornia.metrics import ssim
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean
 
 _WINDOW = 11
 
@@ -14,16 +12,21 @@ _WINDOW = 11
 class SSIM(Difference):
     """Mean structural similarity of display values over pixels and channels; 1 for pictures that are equal.
 
-    kornia's map, Gaussian window of 11 pixels and sigma 1.5; windows at the mask's border see both backgrounds.
+    In a Gaussian window of 11 pixels and sigma 1.5 around every pixel, with means m, variances v and covariance c:
+    (2 m_x m_y + C1) (2 c + C2) / ((m_x^2 + m_y^2 + C1) (v_x + v_y + C2)), C1 = 0.01^2, C2 = 0.03^2. kornia's map,
+    borders mirrored. The loss is 1 - SSIM. Without unit.
     Source: Z. Wang et al., Image Quality Assessment: From Error Visibility to Structural Similarity, 2004,
     doi:10.1109/TIP.2003.819861.
     """
 
     higher_is_better = True
+    least_side = _WINDOW // 2 + 1  # a border narrower than the window's half cannot be mirrored
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of kornia's map."""
-        if min(image.shape[1:3]) <= _WINDOW // 2:
-            raise ShapeError(f"SSIM: expected pictures of at least {_WINDOW // 2 + 1} pixels, found {(*image.shape,)}")
-        first, second = torch.movedim(image, -1, 1), torch.movedim(reference, -1, 1)
-        return masked_mean(ssim(first, second, window_size=_WINDOW, eps=0.0).mean(1), mask)
+        similarity = ssim(channels_first(image), channels_first(reference), window_size=_WINDOW, eps=0.0)
+        return masked_mean(similarity.mean(1), mask)
+
+    def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+        """1 - SSIM; rounding may carry the similarity of nearly equal pictures above 1."""
+        return (1 - self.compare(image, reference, mask)).clamp_min(0)

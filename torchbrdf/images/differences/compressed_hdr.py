@@ -1,0 +1,31 @@
+"""Differences of powers of radiance."""
+
+from torch import Tensor
+
+from torchbrdf.errors import UsageError
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+
+
+@DIFFERENCES.register("compressed_hdr")
+class CompressedHDR(PixelDifference):
+    """Root mean square, over pixels and channels, of (I + eps)^p - (R + eps)^p; 0 for pictures that are equal.
+
+    In radiance^p of linear pictures, with the exponent p, 1/3 by default: about how lightness is seen. Negative
+    radiance counts as 0. eps, in the pictures' own unit, keeps the slope of black finite; the default suits pictures
+    whose white is near 1. `torchbrdf.losses.CompressedLoss` is the same on BRDFs.
+    Source: the compressive metric of A. Fores, J. Ferwerda, J. Gu, Toward a Perceptually Based Metric for BRDF
+    Modeling, 2012, carried over to pictures; the power of 1/3 is that of CIE lightness, CIE 15.
+    """
+
+    linear = True
+
+    def __init__(self, exponent: float = 1 / 3, eps: float = 1e-3) -> None:
+        if not 0 < exponent <= 2:
+            raise UsageError(f"CompressedHDR: expected an exponent above 0 and at most 2, found {exponent}")
+        if not eps > 0:
+            raise UsageError(f"CompressedHDR: expected an eps above 0, found {eps}")
+        self.exponent, self.eps = exponent, eps
+
+    def encode(self, picture: Tensor) -> Tensor:
+        """(I + eps)^p - eps^p: 0 for black."""
+        return (picture.clamp_min(0) + self.eps).pow(self.exponent) - self.eps**self.exponent
