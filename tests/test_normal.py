@@ -4,8 +4,9 @@ import pytest
 import torch
 from directions import hemisphere
 
+from torchbrdf.fitting.columns import applies
 from torchbrdf.fitting.data import Data
-from torchbrdf.fitting.normal import SquaredError, applies
+from torchbrdf.fitting.normal import SquaredError
 from torchbrdf.fitting.variables import Variable, decode, encode, evaluate, values_of
 from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum
 from torchbrdf.losses import LOSSES, CubeRootLoss, Loss, Problem

@@ -8,52 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from painted import MATERIALS, Painted
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap, read_image
-from torchbrdf.lobes import CookTorrance, Lambert, Sum, Ward
+from torchbrdf.lobes import Lambert, Sum, Ward
 from torchbrdf.measured import Measured
-from torchbrdf.measured.measured import Interpolation, Lookup, Source
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Environment, Mesh, Scene, View, blob, draw, render, sphere
 from torchbrdf.render.octahedral import texel_centers
-from torchbrdf.render.scene import _FAR, _NEAR
+from torchbrdf.render.quadrature import FAR, NEAR, Mirror
 from torchbrdf.workers import each
-
-MATERIALS = {
-    "lambert": Lambert(albedo=[0.5, 0.3, 0.1]),
-    "sharp": Ward(specular=0.5, roughness=0.01),
-    "glossy": Ward(specular=[0.5, 0.4, 0.2], roughness=0.05),
-    "rough": Ward(specular=0.5, roughness=0.3),
-    "metal": CookTorrance(specular=0.8, roughness=0.15, f0=0.5),
-}
-
-
-class Painted(Source):
-    """Materials that are given by lobes, where a scene asks for measured values."""
-
-    format = "painted"
-
-    def __init__(self, lobes: Sequence[Lambert]) -> None:
-        self.lobes = lobes
-        self.names = [str(k) for k in range(len(lobes))]
-        self.paths = []
-        self.pairs = Pairs.from_half_diff(*torch.full((3, 1, 1), 0.1, dtype=torch.float64))
-
-    @classmethod
-    def recognises(cls, path: Path, head: bytes) -> bool:
-        return False
-
-    @classmethod
-    def open(cls, paths: Sequence[Path]) -> "Painted":
-        raise DataError("not from files")
-
-    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        raise DataError("no samples")
-
-    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        return Lookup(torch.cat([self.lobes[k](pairs) for k in materials]), torch.zeros(len(materials)))
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +43,14 @@ def brute_force(materials: Sequence[Callable[[Pairs], Tensor]], scene: Scene) ->
     flux = scene.environment.texels.reshape(-1, 3) * (4 * math.pi / side**2)
 
     def light(k: int) -> Tensor:
-        incident = lights @ scene._frame[k].T
+        incident = lights @ scene._pixels.frame[k].T
         above = incident[:, 2] > 0
-        pairs = Pairs.from_directions(incident[None, above], scene._outgoing[:, k])
+        pairs = Pairs.from_directions(incident[None, above], scene._pixels.outgoing[:, k])
         weight = flux[above] * incident[above, 2:]
         return torch.stack([(material(pairs)[0] * weight).sum(0) for material in materials])
 
     pictures = torch.zeros(len(materials), scene.size**2, 3)
-    pictures[:, scene._pixel] = torch.stack(list(each(light, range(len(scene._pixel)))), 1)
+    pictures[:, scene._pixels.index] = torch.stack(list(each(light, range(len(scene._pixels.index)))), 1)
     return pictures.unflatten(1, (scene.size, scene.size))
 
 
@@ -101,13 +67,15 @@ def test_furnace() -> None:
 def test_the_nodes_hold_a_sharp_lobe(roughness: float) -> None:
     """exp(-tan^2 theta / alpha^2) over the half vectors near the normal, by a fine sum over theta."""
     scene = Scene(sphere(2), View(), constant(), size=4)
-    _, tan2_h, solid, share = scene._nodes
+    mirror = scene._parts[0]
+    assert isinstance(mirror, Mirror)
+    _, tan2_h, solid, share = mirror.nodes
     found = (torch.exp(-tan2_h / roughness**2) * solid * share).sum() / 4
-    theta = (np.arange(400_000) + 0.5) / 400_000 * math.radians(_FAR)
-    near, far = np.cos(np.radians([_NEAR, _FAR]))
+    theta = (np.arange(400_000) + 0.5) / 400_000 * math.radians(FAR)
+    near, far = np.cos(np.radians([NEAR, FAR]))
     t = np.clip((np.cos(theta) - far) / (near - far), 0, 1)
     lobe = np.exp(-(np.tan(theta) ** 2) / roughness**2) * (3 * t**2 - 2 * t**3)
-    expected = (lobe * 2 * math.pi * np.sin(theta)).sum() * math.radians(_FAR) / 400_000
+    expected = (lobe * 2 * math.pi * np.sin(theta)).sum() * math.radians(FAR) / 400_000
     assert found.item() == pytest.approx(expected, rel=1e-2)
 
 
@@ -252,50 +220,6 @@ def test_the_threads_are_given_back(small: Scene) -> None:
     assert torch.get_num_threads() == threads
 
 
-def test_the_transport_gives_the_same_picture(small: Scene) -> None:
-    pairs, transport = small.pairs, small.transport
-    assert len(pairs) == len(transport.pixel) == len(transport.weight)
-    assert pairs.above.all()
-    materials = list(MATERIALS.values())
-    with torch.no_grad():
-        values = torch.cat([material(pairs) for material in materials])
-    torch.testing.assert_close(transport @ values, render(materials, small), rtol=1e-4, atol=1e-6)
-    with pytest.raises(ShapeError, match="transport"):
-        transport @ values[:, 1:]
-
-
-def test_the_transport_is_differentiable(small: Scene) -> None:
-    lobe = Ward(specular=0.5, roughness=torch.tensor([0.2], dtype=torch.float64))
-    pairs = small.pairs.to(dtype=torch.float64)
-
-    def total() -> Tensor:
-        return (small.transport @ lobe(pairs)).square().sum()
-
-    total().backward()
-    ends = []
-    with torch.no_grad():
-        for step in (1e-5, -2e-5):
-            lobe.roughness += step
-            ends.append(float(total()))
-    expected = (ends[0] - ends[1]) / 2e-5
-    assert lobe.roughness.grad is not None
-    assert lobe.roughness.grad.item() == pytest.approx(expected, rel=1e-5)
-
-
-def test_what_the_pairs_know_fits_together(small: Scene) -> None:
-    known = small.pairs
-    derived = Pairs.from_directions(known.wi, known.wo)
-    torch.testing.assert_close(known.wi.norm(dim=-1), torch.ones(1, len(known)))
-    for name, tolerance in {"cos_i": 0, "cos_o": 0, "cos_h": 1e-6, "cos_d": 1e-6, "theta_d": 2e-3}.items():
-        torch.testing.assert_close(getattr(known, name), getattr(derived, name), atol=tolerance, rtol=0)
-    torch.testing.assert_close(known.tan2_h, derived.tan2_h, atol=1e-6, rtol=1e-3)
-    # phi_d has a period of pi, and no meaning where the half vector is the normal
-    steep = (known.tan2_h > 1e-4) & (known.theta_d > 1e-2)
-    away = (known.phi_d - derived.phi_d)[steep]
-    assert (2 * away).sin().abs().max() < 2e-2
-    assert known.phi_d.min() >= 0
-
-
 def test_coverage_is_smooth_at_the_outline(grove: Environment) -> None:
     scene = Scene(sphere(), View(), grove, size=50, nodes=8, lights=4)
     assert torch.equal(scene.mask, scene.coverage > 0)
@@ -320,10 +244,10 @@ def test_surfaces_have_two_sides() -> None:
 
 
 def test_every_pixel_faces_the_viewer(small: Scene) -> None:
-    assert small._outgoing[2].min() >= 0.02 - 1e-6
-    identity = small._frame @ small._frame.transpose(1, 2)
+    assert small._pixels.outgoing[2].min() >= 0.02 - 1e-6
+    identity = small._pixels.frame @ small._pixels.frame.transpose(1, 2)
     torch.testing.assert_close(identity, torch.eye(3).expand_as(identity), atol=1e-5, rtol=0)
-    torch.testing.assert_close(torch.linalg.det(small._frame), torch.ones(len(small._frame)))
+    torch.testing.assert_close(torch.linalg.det(small._pixels.frame), torch.ones(len(small._pixels.frame)))
 
 
 def test_scenes_that_cannot_be(grove: Environment) -> None:
@@ -333,8 +257,6 @@ def test_scenes_that_cannot_be(grove: Environment) -> None:
         Scene(sphere(2), View(), grove, size=4, nodes=0)
     with pytest.raises(UsageError, match="at least one"):
         render([], Scene(sphere(2), View(), grove, size=4))
-    with pytest.raises(UsageError, match="GiB"):
-        _ = Scene(sphere(2), View(), grove, size=300).transport
     speck = Mesh(np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0], [9, 9, 9.0]]), np.array([[0, 1, 2]]), np.ones((4, 3)))
     with pytest.raises(DataError, match="nothing to see"):
         Scene(speck, View(), grove, size=4)

@@ -1,4 +1,4 @@
-"""The command line: `torchbrdf run | fit | render | info`."""
+"""The command line: `torchbrdf run | fit | render | view | info`."""
 
 import argparse
 import os
@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from torchbrdf import __version__
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
+from torchbrdf.registry import unknown
 
 if TYPE_CHECKING:
+    from torchbrdf.losses import Loss
     from torchbrdf.measured import Measured
+
+RENDERED = "rendered"
 
 DESCRIPTION = """\
 Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
@@ -19,6 +23,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
   torchbrdf fit nickel.binary --model ward      one fit, printed
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
+  torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
   torchbrdf info nickel.binary                  what a file holds
 """
 
@@ -38,8 +43,10 @@ Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or fol
 
   torchbrdf fit nickel.binary --model ward --lobes 2 --loss cuberoot
   torchbrdf fit MERL/ --model cook_torrance --loss cosine --out fits/
+  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e --diffuse fit
 
-A folder is fitted in batches, and each is written as it is done: run the command again, and it goes on from there.
+The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
+and it goes on from there.
 """
 
 RENDER = """\
@@ -49,10 +56,19 @@ Draw measured BRDFs, or the fits of a fits.json, under a light probe, to PNG (an
   torchbrdf render fits/fits.json --environment rnl_probe.hdr --shape sphere --rotate 15
 """
 
+VIEW = """\
+Draw measured BRDFs and fits from all around, and write one page to look at them: turn the object, wipe between a
+material and its fit, see their difference. The page needs no network, and nothing beside it.
+
+  torchbrdf view nickel.binary fits/fits.json
+  torchbrdf view MERL/ --environment grove rnl_probe.hdr --steps 24 --out nickel.html --open
+"""
+
 INFO = """\
 Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
 
   torchbrdf info nickel.binary
+  torchbrdf info --system
 """
 
 
@@ -90,7 +106,16 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument("files", nargs="+", help="measured BRDFs, or folders of them")
     fit.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
     fit.add_argument("--lobes", type=int, default=2, help="specular lobes beside the diffuse one (default 2)")
-    fit.add_argument("--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ...")
+    fit.add_argument(
+        "--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ..., rendered"
+    )
+    fit.add_argument(
+        "--difference", default="delta_e", help="of a rendered loss: delta_e (default), log_hdr, psnr, ssim, flip, ..."
+    )
+    fit.add_argument("--environment", help="of a rendered loss: .exr or .hdr light probe (default: the bundled grove)")
+    fit.add_argument("--shape", default="blob", help="of a rendered loss: blob (default), sphere, or a mesh file")
+    fit.add_argument("--size", type=int, default=128, help="of a rendered loss: pixels of a side (default 128)")
+    fit.add_argument("--lights", type=int, default=1024, help="of a rendered loss: lights in the scene (default 1024)")
     fit.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
     fit.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
     fit.add_argument("--max-theta", type=float, default=80.0, help="largest angle from the normal (default 80)")
@@ -107,11 +132,27 @@ def build_parser() -> argparse.ArgumentParser:
     render.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
     render.add_argument("--rotate", type=float, default=0.0, help="turn the view by so many degrees (default 0)")
     render.add_argument("--size", type=int, default=400, help="pixels of a side (default 400)")
+    render.add_argument(
+        "--backend", default="auto", help="pyrender (OpenGL), software, or auto (default): OpenGL where it works"
+    )
     render.add_argument("--out", default=".", help="folder for the pictures (default: here)")
     render.set_defaults(command=render_command)
 
+    view = _parser(commands.add_parser("view", help="write a page to compare measured BRDFs and fits"), VIEW)
+    view.add_argument("files", nargs="+", help="measured BRDFs, fits.json, or folders of them")
+    view.add_argument(
+        "--environment", nargs="+", default=["grove"], help=".exr or .hdr light probes, or grove, the bundled (default)"
+    )
+    view.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
+    view.add_argument("--size", type=int, default=320, help="pixels of a side (default 320)")
+    view.add_argument("--steps", type=int, default=12, help="sides that it is seen from, all around (default 12)")
+    view.add_argument("--out", default="view.html", help="the page (default: view.html)")
+    view.add_argument("--open", action="store_true", help="open it in the browser")
+    view.set_defaults(command=view_command)
+
     info = _parser(commands.add_parser("info", help="say what a file holds"), INFO)
-    info.add_argument("files", nargs="+", help="measured BRDFs")
+    info.add_argument("files", nargs="*", help="measured BRDFs")
+    info.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     info.set_defaults(command=info_command)
     return parser
 
@@ -144,12 +185,12 @@ def fit_command(options: argparse.Namespace) -> int:
     from torchbrdf.files import writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.lobes import make_model, number
-    from torchbrdf.losses import LOSSES
 
     STRATEGIES[options.strategy]
+    model = make_model(options.model, options.lobes)
     batches = Batches(
-        make_model(options.model, options.lobes),
-        LOSSES[options.loss](),
+        model,
+        _loss(options),
         out=writable(options.out) if options.out else None,
         strategy=options.strategy,
         diffuse=options.diffuse,
@@ -171,6 +212,24 @@ def fit_command(options: argparse.Namespace) -> int:
     return 0 if complete else 1
 
 
+def _loss(options: argparse.Namespace) -> "Loss":
+    """A loss by name, or pictures of the scene that the options describe."""
+    from torchbrdf.losses import LOSSES
+
+    if options.loss != RENDERED:
+        if options.loss not in LOSSES:
+            raise unknown("loss", options.loss, [*LOSSES, RENDERED])
+        return LOSSES[options.loss]()
+    from torchbrdf.images import DIFFERENCES
+    from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh
+
+    difference = DIFFERENCES[options.difference]()
+    light = Environment.from_file(options.environment) if options.environment else Environment.default()
+    mesh = find_mesh(options.shape)
+    scene = Scene(mesh, None, light, size=options.size, lights=options.lights, cache=cache_folder())
+    return RenderedLoss(scene, difference)
+
+
 def _notes(record: dict[str, Any]) -> list[str]:
     """What else there is to say of a fit."""
     notes = [record["reason"]] if record["reason"] else []
@@ -186,7 +245,7 @@ def render_command(options: argparse.Namespace) -> int:
 
     out = writable(options.out)
     light = Environment.from_file(options.environment) if options.environment else Environment.default()
-    scene = Scene(find_mesh(options.shape), View(options.rotate), light, size=options.size)
+    scene = Scene(find_mesh(options.shape), View(options.rotate), light, size=options.size, backend=options.backend)
     groups, complete = _load(options.files)
     for group in groups:
         pictures = render(group, scene)
@@ -199,10 +258,49 @@ def render_command(options: argparse.Namespace) -> int:
     return 0 if complete else 1
 
 
+def view_command(options: argparse.Namespace) -> int:
+    """`torchbrdf view`."""
+    from torchbrdf.files import writable
+    from torchbrdf.render import Environment, find_mesh
+    from torchbrdf.report.view import distinct, write_view
+
+    out = Path(options.out)
+    writable(out.parent)
+    mesh = find_mesh(options.shape)
+    lights = [Environment.default() if name == "grove" else Environment.from_file(name) for name in options.environment]
+    names = distinct([Path(name).stem for name in options.environment])
+    groups, complete = _load(options.files)
+    if not groups:
+        return 1
+    write_view(
+        out,
+        groups,
+        dict(zip(names, lights, strict=True)),
+        mesh,
+        size=options.size,
+        steps=options.steps,
+        advance=bars("sides", len(lights) * max(options.steps, 0)),
+    )
+    pictures = sum(map(len, groups)) * len(lights) * options.steps
+    print(f"{pictures} pictures, {out.stat().st_size / 1e6:.1f} MB")
+    print(out)
+    if options.open:
+        import webbrowser
+
+        webbrowser.open(out.resolve().as_uri())
+    return 0 if complete else 1
+
+
 def info_command(options: argparse.Namespace) -> int:
     """`torchbrdf info`."""
     from torchbrdf.measured import describe
 
+    if not options.files and not options.system:
+        raise UsageError("info: expected files, or --system")
+    if options.system:
+        from torchbrdf.render.system import system_facts  # late, because most of the package comes with it
+
+        _print_facts(system_facts(), "")
     failed = 0
     for k, name in enumerate(options.files):
         try:
@@ -211,7 +309,7 @@ def info_command(options: argparse.Namespace) -> int:
             print(f"torchbrdf: {error}", file=sys.stderr)
             failed = 1
             continue
-        if k:
+        if k or options.system:
             print()
         print(name)
         _print_facts(facts, "  ")

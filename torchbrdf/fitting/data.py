@@ -22,7 +22,7 @@ class Data:
     """
 
     def __init__(self, problem: Problem, loss: Loss) -> None:
-        self.loss, self.pairs = loss, problem.pairs
+        self.loss, self.pairs, self.chunks = loss, problem.pairs, Chunks(problem.pairs)
         materials, count = problem.target.shape[:2]
         self.target = problem.target.new_empty(materials, 3, count)
         weight = loss.counted(self.pairs, problem.weight)
@@ -41,7 +41,6 @@ class Data:
         self.total, black, size = sums
         self.black = torch.where(black > 0, black / self.total, 1)
         self.spread = torch.where(size > 0, size / self.total, 1)
-        self._chunks: dict[int, list[tuple[slice, Pairs]]] = {}
 
     def __len__(self) -> int:
         return len(self.target)
@@ -55,12 +54,19 @@ class Data:
             weight = weight[materials] if weight is not None and len(weight) > 1 else weight
         return target, weight
 
-    def chunks(self, fits: int) -> list[tuple[slice, Pairs]]:
-        """As `chunked`, but kept, with what lobes derive from the pairs."""
+
+class Chunks:
+    """As `chunked`, but kept, with what lobes derive from the pairs."""
+
+    def __init__(self, pairs: Pairs) -> None:
+        self.pairs = pairs
+        self._kept: dict[int, list[tuple[slice, Pairs]]] = {}
+
+    def __call__(self, fits: int) -> list[tuple[slice, Pairs]]:
         size = _size(fits, self.pairs)
-        if size not in self._chunks:
-            self._chunks[size] = list(chunked(self.pairs, fits))
-        return self._chunks[size]
+        if size not in self._kept:
+            self._kept[size] = list(chunked(self.pairs, fits))
+        return self._kept[size]
 
 
 def chunked(pairs: Pairs, fits: int) -> Iterator[tuple[slice, Pairs]]:

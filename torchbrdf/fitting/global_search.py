@@ -17,8 +17,6 @@ from torchbrdf.fitting.variables import Values, Variable
 SEEDS = 6
 # How many different minima go on from the first samples, and how many at most to all of them.
 KEPT = 3
-# Samples that the starts are tried on.
-FEW = 4_000
 # One in so many of all samples is between the subset and all of them: steps there are cheap, and few are left to do.
 SHARE = 6
 # Errors that differ by less belong to the same minimum; minima within TIE of the best are worth another look.
@@ -36,11 +34,8 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
         return _joint(task, values, fit_diffuse)
     parts, variables, everyone = task.parts, task.moved(fit_diffuse), task.everyone
     outcome = Outcome(values, starts=SEEDS + 1)
-    few = task
-    samples = stratified(len(task.problem.pairs), FEW, 0)
-    if samples is not None:
-        few = task.on(samples.to(task.problem.target.device))
-    rounding = task.loss.rounding
+    few, curved = task.few, task.curved
+    rounding = few.loss.rounding
 
     def quickly(start: Values, moved: list[Variable], present: list[int]) -> tuple[Values, Solution]:
         return descend(few, everyone, start, moved, present, max_iterations=20, tolerance=1e-4, rounding=rounding[:1])
@@ -49,14 +44,17 @@ def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     tried = _join(seeds(few, values, fit_diffuse, SEEDS), staged)
     rivals = _Rivals(everyone.repeat(SEEDS + 1), tried)
     found = rivals.move(few, variables, parts, max_iterations=30, tolerance=1e-5, rounding=rounding[:2])
-    outcome.add(f"{SEEDS + 1} starts, {len(few.problem.pairs)} samples", *rivals.best(found))
+    outcome.add(f"{SEEDS + 1} starts, {few.extent}", *rivals.best(found))
     rivals.keep(found, KEPT, 1.0)
-    last = 1e-8 if task.whole is None else 1e-6
+    last = curved.precision if task.whole is None else 1e-6
+    rounding = curved.loss.rounding
     found = rivals.move(
-        task, variables, parts, max_iterations=task.max_iterations, tolerance=last, rounding=rounding[-2:]
+        curved, variables, parts, max_iterations=task.max_iterations, tolerance=last, rounding=rounding[-2:]
     )
-    outcome.add(f"best {KEPT}, {len(task.problem.pairs)} samples", *rivals.best(found))
+    outcome.add(f"best {KEPT}, {curved.extent}", *rivals.best(found))
     outcome.ties = rivals.ties(found)
+    if curved is not task:
+        outcome.add("the loss itself", *solve(task, outcome.values, variables, parts))
     if task.whole is not None:
         between = _between(task)
         if between is not None:

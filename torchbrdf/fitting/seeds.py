@@ -12,6 +12,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchbrdf.fitting.observed import Observations
 from torchbrdf.fitting.quadratic import minimize_quadratic
 from torchbrdf.fitting.solve import Task
 from torchbrdf.fitting.variables import Values
@@ -34,21 +35,22 @@ def seeds(task: Task, values: Values, fit_diffuse: bool, wanted: int) -> Values:
         ]
         return {key: torch.stack([found[key] for found in own], 1).flatten(0, 1) for key in values}
     fit_diffuse = fit_diffuse and bool(task.diffuse)
-    target = problem.target.transpose(1, 2).double()
-    atoms = [torch.full_like(target[:1, 0], 1 / math.pi)] * fit_diffuse
+    flat = torch.full((1, len(problem.pairs)), 1 / math.pi, dtype=torch.float64, device=problem.target.device)
+    atoms = [flat] * fit_diffuse
+    target = task.aim
     if not fit_diffuse:
         for k in task.diffuse:
-            target = target - values[k, "albedo"].double()[..., None] / math.pi
+            target = target - values[k, "albedo"].double()[..., None] * task.look(flat)[:, 0]
     kinds: list[_Kind] = []
     for k in task.specular:
         lobe = task.model.parts()[k]
         same = [kind for kind in kinds if type(kind.lobe) is type(lobe)]
         kinds.append(same[0] if same else _Kind(lobe, problem.pairs, sum(map(len, atoms))))
         atoms += [] if same else [kinds[-1].atoms]
-    columns = torch.cat(atoms)
+    columns = task.look(torch.cat(atoms))
     weight = _weight(task)
-    gram = (weight[..., None, :] * columns) @ columns.T
-    right = -((weight * target) @ columns.T)
+    gram = (weight[..., None, :] * columns) @ columns.mT
+    right = -((weight * target)[..., None, :] @ columns.mT)[..., 0, :]
     picked, factor = _search(gram, right, kinds, int(fit_diffuse))
     chosen = _apart(picked, kinds, wanted)
     return _values(task, values, kinds, _take(picked, chosen), _take(factor, chosen), fit_diffuse)
@@ -93,20 +95,23 @@ def _from_unit(bounded: Bounded, place: Tensor) -> Tensor:
 
 
 def _weight(task: Task) -> Tensor:
-    """The weight of a squared difference of values that stands in for the loss, `(M|1, 3|1, N)`.
+    """The weight of a squared difference of values (or observations) that stands in for the loss, `(M|1, 3|1, P)`.
 
     It is the curvature of the loss for predictions that are off by a quarter and a little of the mean.
     """
-    data, loss, problem = task.data, task.loss, task.problem
-    target = problem.target.transpose(1, 2)
-    mean = target.mean((1, 2), keepdim=True)
-    off = (1.25 * target + 0.05 * mean).clamp_min(0)
-    encoded, rate = loss.encode_slope(off.transpose(1, 2), problem.pairs)
-    width = None if loss.rounding[0] is None else (loss.rounding[0] * data.spread)[:, None, None].to(target)
-    _, _, curve = loss.penalty_slope(encoded.transpose(1, 2) - data.target, width)
+    data, aim = task.data, task.aim
+    off = (1.25 * aim + 0.05 * aim.mean((1, 2), keepdim=True)).clamp_min(0).to(data.target.dtype).transpose(1, 2)
+    first = task.loss.rounding[0]
+    width = None if first is None else first * data.spread
+    if isinstance(data, Observations):
+        *_, curve = data.loss.parabola(off, data.target, width)
+        return torch.diagonal(curve, dim1=-2, dim2=-1).transpose(1, 2).double()
+    encoded, rate = data.loss.encode_slope(off, data.pairs)
+    width = None if width is None else width[:, None, None].to(data.target.dtype)
+    _, _, curve = data.loss.penalty_slope(encoded.transpose(1, 2) - data.target, width)
     weight = (curve * rate.transpose(-1, -2).square()).double()
     weight = weight if data.weight is None else weight * data.weight
-    return weight.expand(*weight.shape[:2], target.shape[-1])
+    return weight.expand(*weight.shape[:2], aim.shape[-1])
 
 
 def _search(gram: Tensor, right: Tensor, kinds: list[_Kind], base: int) -> tuple[Tensor, Tensor]:

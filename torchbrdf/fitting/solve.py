@@ -2,17 +2,23 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.data import Data
+from torchbrdf.fitting.columns import applies
+from torchbrdf.fitting.data import Data, stratified
 from torchbrdf.fitting.lbfgs import Objective, Solution, minimize
 from torchbrdf.fitting.levenberg import minimize_squares
-from torchbrdf.fitting.normal import SquaredError, applies
+from torchbrdf.fitting.normal import SquaredError
+from torchbrdf.fitting.observed import Observations, ObservedError
 from torchbrdf.fitting.variables import Values, Variable, decode, encode, evaluate, limits
 from torchbrdf.lobes import Lambert, Lobe
-from torchbrdf.losses import Loss, Problem
+from torchbrdf.losses import Loss, ObservedLoss, Problem
+
+# Samples that starts are tried on.
+FEW = 4_000
 
 
 @dataclass(frozen=True)
@@ -37,9 +43,65 @@ class Task:
         return applies(self.model, self.loss)
 
     @cached_property
-    def data(self) -> Data:
+    def data(self) -> Data | Observations:
         """The problem, laid out for an analytic task."""
+        if isinstance(self.loss, ObservedLoss):
+            return Observations(self.problem, self.loss)
         return Data(self.problem, self.loss)
+
+    def error(self, *arguments: Any) -> SquaredError | ObservedError:
+        """Value, gradient and curvature of an analytic task; the arguments are those of `SquaredError`."""
+        data = self.data
+        if isinstance(data, Observations):
+            return ObservedError(self.model, data, *arguments)
+        return SquaredError(self.model, data, *arguments)
+
+    @property
+    def aim(self) -> Tensor:
+        """The values, or what is observed of them, that a fit aims at, `(M, 3, P)`, float64."""
+        data = self.data
+        target = data.target if isinstance(data, Observations) else self.problem.target
+        return target.transpose(1, 2).double()
+
+    def look(self, shapes: Tensor) -> Tensor:
+        """Scalar functions of the pairs `(K, N)` as each channel sees them, `(3|1, K, P)`, float64."""
+        data = self.data
+        if not isinstance(data, Observations):
+            return shapes[None]
+        return data.loss.columns(shapes.to(data.target.dtype)).transpose(0, 1).double()
+
+    @cached_property
+    def few(self) -> "Task":
+        """The same on what starts are tried on: a few samples, or a share of the observations."""
+        if isinstance(self.loss, ObservedLoss):
+            loss, problem = self.loss.thinned(self.problem)
+            return replace(self, loss=loss, problem=problem, whole=None)
+        samples = stratified(len(self.problem.pairs), FEW, 0)
+        return self if samples is None else self.on(samples.to(self.problem.target.device))
+
+    @property
+    def extent(self) -> str:
+        """How much the solver sees, in words."""
+        if isinstance(self.loss, ObservedLoss):
+            return f"{self.data.target.shape[1]} observations, {self.loss.registered_name}"
+        return f"{len(self.problem.pairs)} samples"
+
+    @property
+    def precision(self) -> float:
+        """How small a share of the value a solver can still see."""
+        return 1e-6 if isinstance(self.loss, ObservedLoss) else 1e-8
+
+    @property
+    def negligible(self) -> float:
+        """A value, in units of black's, that is as good as 0: single precision sees no smaller one."""
+        return 1e-10 if isinstance(self.loss, ObservedLoss) else 1e-12
+
+    @cached_property
+    def curved(self) -> "Task":
+        """The same under a loss that has a parabola, where its own has none."""
+        if isinstance(self.loss, ObservedLoss) and not self.loss.curved:
+            return replace(self, loss=self.loss.stand_in())
+        return self
 
     @cached_property
     def finish(self) -> "Task":
@@ -88,13 +150,12 @@ def solve(task: Task, values: Values, variables: list[Variable], parts: list[int
 
     The solver sees squared errors, which are smooth where a fit is exact, in units of what black would have.
     """
-    objective, scale = (
-        _analytic(task, values, variables, parts) if task.analytic else _graph(task, values, variables, parts)
-    )
+    make = _analytic if task.analytic else _graph
+    objective, scale = make(task, values, variables, parts)
     lower, upper = (bound.to(scale.device) for bound in limits(variables))
     start = encode(variables, values).to(scale.device)
-    found = minimize(objective, start, lower, upper, max_iterations=task.max_iterations)
-    found.value = found.value.sqrt() * scale.sqrt()
+    found = minimize(objective, start, lower, upper, max_iterations=task.max_iterations, negligible=task.negligible)
+    found.value = task.loss.figure(found.value * scale) if task.analytic else (found.value * scale).sqrt()
     return values | decode(variables, found.x, task.problem.target.dtype), found
 
 
@@ -121,22 +182,30 @@ def descend(
     iterations = torch.zeros(len(x), dtype=torch.long)
     for share in task.loss.rounding if rounding is None else rounding:
         width = None if share is None else share * data.spread[materials]
-        objective = SquaredError(task.model, data, materials, values, variables, parts, scale, width)
-        found = minimize_squares(objective, x, lower, upper, max_iterations=max_iterations, tolerance=tolerance)
+        objective = task.error(materials, values, variables, parts, scale, width)
+        found = minimize_squares(
+            objective,
+            x,
+            lower,
+            upper,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            negligible=task.negligible,
+        )
         x = found.x
         iterations += found.iterations
     found.iterations = iterations
     if width is not None:
-        exact = SquaredError(task.model, data, materials, values, variables, parts, scale)
+        exact = task.error(materials, values, variables, parts, scale)
         found.value = exact(x, torch.arange(len(x), device=x.device), curvature=False)[0]
-    found.value = (found.value * scale).sqrt()
+    found.value = task.loss.figure(found.value * scale)
     return values | decode(variables, x, task.problem.target.dtype), found
 
 
 def _analytic(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Objective, Tensor]:
-    data = task.data
-    error = SquaredError(task.model, data, task.everyone, values, variables, parts, data.black)
-    return lambda x, rows: error(x, rows, curvature=False)[:2], data.black
+    scale = task.data.black
+    error = task.error(task.everyone, values, variables, parts, scale)
+    return lambda x, rows: error(x, rows, curvature=False)[:2], scale
 
 
 def _graph(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Objective, Tensor]:

@@ -5,6 +5,7 @@ from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
 from torchbrdf.losses.log import LogLoss
+from torchbrdf.losses.observed import ObservedLoss
 from torchbrdf.losses.rms import RMSLoss
 from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 
@@ -16,6 +17,7 @@ __all__ = [
     "LeastSquares",
     "LogLoss",
     "Loss",
+    "ObservedLoss",
     "Problem",
     "RMSLoss",
     "SolidAngleCosineRMSLoss",

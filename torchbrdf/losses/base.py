@@ -115,12 +115,16 @@ class Loss(nn.Module):
         """The penalty of every value, `(..., N, C)`."""
         return self.penalty(self.encode(prediction, pairs) - self.encode(target, pairs))
 
+    def figure(self, value: Tensor) -> Tensor:
+        """The error of what a fit minimises: here the root of a mean."""
+        return safe_sqrt(value)
+
     def error(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
         """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
         self._check(prediction, target, pairs, weight)
-        return safe_sqrt(weighted_mean(self.pointwise(prediction, target, pairs), self.counted(pairs, weight)))
+        return self.figure(weighted_mean(self.pointwise(prediction, target, pairs), self.counted(pairs, weight)))
 
     def forward(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None

@@ -1,9 +1,27 @@
-"""What is drawn, how it is seen, and what lights it: pictures of BRDFs, in software."""
+"""What is drawn, how it is seen, and what lights it: pictures of BRDFs, and pictures as a loss."""
 
+from torchbrdf.render.cache import cache_folder
 from torchbrdf.render.draw import render
 from torchbrdf.render.environment import Environment
+from torchbrdf.render.lamps import DirectionalLight, PointLight
 from torchbrdf.render.mesh import Mesh, blob, find_mesh, sphere
 from torchbrdf.render.raster import View
-from torchbrdf.render.scene import Scene, Transport
+from torchbrdf.render.rendered import RenderedLoss
+from torchbrdf.render.scene import Scene
+from torchbrdf.render.transport import Transport
 
-__all__ = ["Environment", "Mesh", "Scene", "Transport", "View", "blob", "find_mesh", "render", "sphere"]
+__all__ = [
+    "DirectionalLight",
+    "Environment",
+    "Mesh",
+    "PointLight",
+    "RenderedLoss",
+    "Scene",
+    "Transport",
+    "View",
+    "blob",
+    "cache_folder",
+    "find_mesh",
+    "render",
+    "sphere",
+]

@@ -1,6 +1,7 @@
 """What is drawn: triangle meshes with smooth normals; the sphere, and the project's own blob."""
 
 import importlib.resources
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,9 +45,10 @@ class Mesh:
     def load(cls, path: str | Path) -> "Mesh":
         """Read any file that trimesh reads.
 
-        Without normals in the file they are averaged over the faces around a vertex, vertices at one place merged; a
-        vertex whose faces cancel takes the normal of one of them. Faces without area are dropped, and a closed mesh
-        that is inside out is turned.
+        Without normals in the file they are averaged over the faces around a vertex, vertices at one place merged.
+        What is amiss is repaired, and said in the log: faces without area are dropped, a closed mesh that is inside
+        out is turned (of an open one that cannot be known, but both sides are drawn), and a vertex without a normal,
+        such as one whose faces cancel, takes that of one of its faces.
         """
         import trimesh  # late, because it takes longer to import than the rest of this package
 
@@ -58,9 +60,11 @@ class Mesh:
             parts = scene.dump() if len(scene.graph.nodes_geometry) != 1 else [_only_part(scene)]
         except Exception as error:  # its readers raise whatever comes up in a damaged file
             raise DataError(f"{path}: not a readable mesh: {' '.join(str(error).split())}") from None
-        parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+        every, parts = len(parts), [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
         if not parts:
             raise DataError(f"{path}: expected a mesh of triangles, found no faces")
+        if len(parts) < every:
+            _warn(path, f"left out {every - len(parts)} of {every} parts without faces")
         mesh: Any = parts[0] if len(parts) == 1 else trimesh.util.concatenate(parts)
         if not np.isfinite(mesh.vertices).all():
             raise DataError(f"{path}: a vertex is not finite")
@@ -70,17 +74,24 @@ class Mesh:
         if not with_area.any():
             raise DataError(f"{path}: all {len(mesh.faces)} faces have no area")
         if not with_area.all():
+            _warn(path, f"dropped {(~with_area).sum()} of {len(with_area)} triangles without area")
             mesh.update_faces(with_area)
         if "vertex_normals" not in mesh._cache:
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
         with np.errstate(invalid="ignore"):  # a flat mesh has no middle
             inside_out = mesh.is_watertight and mesh.volume < 0
         if inside_out:
+            _warn(path, f"closed and inside out; turned its {len(mesh.faces)} triangles")
             mesh.invert()
         faces, normals = np.array(mesh.faces, np.int64), np.array(mesh.vertex_normals, np.float64)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         of_a_face = np.zeros_like(normals)
         of_a_face[faces] = mesh.face_normals[:, None]
+        without = ~(length > 1e-6) & of_a_face.any(1, keepdims=True)
+        if without.any():
+            _warn(
+                path, f"{without.sum()} of {len(normals)} vertices have no normal; each took that of one of its faces"
+            )
         normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), of_a_face)
         return cls(np.array(mesh.vertices, np.float64), faces, normals)
 
@@ -102,6 +113,11 @@ class Mesh:
         """The middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
         center = (self.vertices.min(0) + self.vertices.max(0)) / 2
         return center, float(np.linalg.norm(self.vertices - center, axis=1).max())
+
+
+def _warn(path: Path, repair: str) -> None:
+    """Say what was amiss in a file and what was done about it."""
+    logging.getLogger("torchbrdf").warning("torchbrdf: %s: %s", path, repair)
 
 
 def _only_part(scene: Any) -> Any:

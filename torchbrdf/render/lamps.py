@@ -1,0 +1,117 @@
+"""Light that comes from one direction at every point: suns and small lamps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import UsageError
+
+Triple = tuple[float, float, float]
+
+# Nearer than this a point light grows no brighter, so that one that touches the surface gives finite numbers; of
+# positions about 1 away from the origin float32 tells no closer ones apart.
+NEAREST = 1e-6
+
+
+@dataclass(frozen=True)
+class DirectionalLight:
+    """Parallel light, as of the sun. The vertical axis is +y.
+
+    direction: toward the light, of any length, kept as a unit vector. irradiance: W/m^2 on a surface that faces it,
+    red, green and blue, or one number for all three.
+    """
+
+    direction: Triple
+    irradiance: Triple | float = 1.0
+
+    def __post_init__(self) -> None:
+        direction = _triple("DirectionalLight.direction", self.direction)
+        largest = max(abs(x) for x in direction)
+        if not largest:
+            raise UsageError(f"DirectionalLight.direction: expected a vector other than 0, found {self.direction}")
+        shrunk = [x / largest for x in direction]  # squares of very long or short ones would not fit
+        length = math.hypot(*shrunk)
+        object.__setattr__(self, "direction", tuple(x / length for x in shrunk))
+        object.__setattr__(self, "irradiance", _color("DirectionalLight.irradiance", self.irradiance))
+
+    def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
+        `(p,)`, all infinite."""
+        direction, irradiance = (position.new_tensor(x).expand_as(position) for x in (self.direction, self.irradiance))
+        return direction, irradiance, torch.full_like(position[:, 0], math.inf)
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """Light that a point sends out equally in all directions. The vertical axis is +y.
+
+    position: in the units of the mesh. intensity: W/sr, red, green and blue, or one number for all three; at distance r
+    the irradiance on a surface that faces the light is intensity / r^2. r counts as at least 1e-6 there. A light
+    exactly at a point of the surface has no direction, `at` gives 0 for it, and so it adds nothing there.
+    """
+
+    position: Triple
+    intensity: Triple | float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", _triple("PointLight.position", self.position))
+        object.__setattr__(self, "intensity", _color("PointLight.intensity", self.intensity))
+
+    def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
+        `(p,)`."""
+        way = position.new_tensor(self.position) - position
+        distance = way.norm(dim=-1)
+        counted = distance.clamp_min(NEAREST)[:, None]
+        direction = way / torch.where(distance > 0, distance, 1)[:, None]
+        return direction, position.new_tensor(self.intensity) / counted.square(), distance
+
+
+Lamp = DirectionalLight | PointLight
+
+_KINDS: dict[str, type[Lamp]] = {"directional": DirectionalLight, "point": PointLight}
+
+
+def parse_lamp(text: str) -> Lamp:
+    """A light from `KIND:X,Y,Z:COLOR`, as a command line gives it.
+
+    `directional:0.3,1,0.5:2` is a DirectionalLight of that direction and irradiance, `point:1,2,3:5,5,4` a PointLight
+    of that position and intensity. COLOR is `R,G,B` or one number, 1 if it is left out.
+    """
+    kind, *rest = text.split(":")
+    if kind not in _KINDS or len(rest) not in (1, 2):
+        raise UsageError(
+            f"light: expected directional:X,Y,Z:COLOR or point:X,Y,Z:COLOR (COLOR is R,G,B or one number), found {text}"
+        )
+    try:
+        place, *color = [tuple(float(x) for x in part.split(",")) for part in rest]
+    except ValueError:
+        raise UsageError(f"light {text}: expected numbers with commas between them behind {kind}:") from None
+    values: list[Any] = [place, *(one[0] if len(one) == 1 else one for one in color)]
+    try:
+        return _KINDS[kind](*values)
+    except UsageError as error:
+        raise UsageError(f"light {text}: {error}") from None
+
+
+def _triple(where: str, values: object) -> Triple:
+    """Three finite numbers."""
+    if not isinstance(values, Sequence) or len(values) != 3 or not all(_is_finite(x) for x in values):
+        raise UsageError(f"{where}: expected three finite numbers, found {values!r}")
+    return tuple(float(x) for x in values)  # type: ignore[return-value]
+
+
+def _color(where: str, values: object) -> Triple:
+    """Three numbers of at least 0, of three or of one."""
+    spread = (values,) * 3 if _is_finite(values) else values
+    if not isinstance(spread, Sequence) or len(spread) != 3 or not all(_is_finite(x) and x >= 0 for x in spread):
+        raise UsageError(f"{where}: expected one or three finite numbers of at least 0, found {values!r}")
+    return _triple(where, spread)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
