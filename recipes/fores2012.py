@@ -3,13 +3,12 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from torchbrdf.errors import DataError, UsageError
-from torchbrdf.measured import load_all, standins
+from torchbrdf.errors import UsageError
+from torchbrdf.losses import LOSSES
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.render import Environment, Scene, View, find_mesh
-from torchbrdf.report import Study, write_report
+from torchbrdf.report import STANDINS, Study, gather, write_report
 
-STANDINS = "stand-ins"
 GROVE = "grove"
 
 
@@ -29,7 +28,7 @@ class Fores2012(Recipe):
     diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit"})
     max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
     samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
-    environment: str = field(default=GROVE, metadata={"help": "an .exr or .hdr light probe; or grove"})
+    environment: str = field(default=GROVE, metadata={"help": "grove, studio, or an .exr or .hdr light probe"})
     shape: str = field(default="blob", metadata={"help": "blob, sphere, or a mesh file"})
     size: int = field(default=400, metadata={"help": "pixels of a side"})
     turn: float = field(default=15.0, metadata={"help": "degrees between the reference's view and the fits'"})
@@ -45,24 +44,16 @@ class Fores2012(Recipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Fits, pictures, report."""
-        mesh, environment = find_mesh(self.shape), self._light()
+        mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, View(turn), environment, size=size) for turn in (0.0, self.turn))
-        bad: list[DataError] = []
-        groups = load_all(standins() if self.materials == STANDINS else self.materials, bad=bad)
-        if not groups:
-            raise bad[0] if bad else DataError(f"{self.materials}: no measured BRDFs")
-        for error in bad:
-            folder.warn(f"left out: {error}")
-        samples = self.samples
-        if self.quick:
-            groups = [group.batch(range(min(2, len(group)))) for group in groups]
-            samples = min(self.samples or 4000, 4000)
+        groups, bad = gather(self.materials, folder, self.quick)
+        samples = min(self.samples or 4000, 4000) if self.quick else self.samples
         study = Study(
             folder=folder,
             groups=groups,
             models=self.models,
-            losses=self.losses,
+            losses={name: LOSSES[name]() for name in self.losses},
             lobes=(1, 2) if self.lobes == 1 else (self.lobes,),
             strategy=self.strategy,
             beside=self.beside,
@@ -76,7 +67,4 @@ class Fores2012(Recipe):
         light = "Light: " + (
             "the project's own grove." if self.environment == GROVE else Path(self.environment).name + "."
         )
-        return write_report(study, "Which error metric looks right?", light, self.turn, [str(e) for e in bad])
-
-    def _light(self) -> Environment:
-        return Environment.default() if self.environment == GROVE else Environment.from_file(self.environment)
+        return write_report(study, "Which error metric looks right?", light, self.turn, bad)

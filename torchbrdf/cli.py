@@ -112,7 +112,7 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument(
         "--difference", default="delta_e", help="of a rendered loss: delta_e (default), log_hdr, psnr, ssim, flip, ..."
     )
-    fit.add_argument("--environment", help="of a rendered loss: .exr or .hdr light probe (default: the bundled grove)")
+    fit.add_argument("--environment", default="grove", help="of a rendered loss: grove (default), studio, or a file")
     fit.add_argument("--shape", default="blob", help="of a rendered loss: blob (default), sphere, or a mesh file")
     fit.add_argument("--size", type=int, default=128, help="of a rendered loss: pixels of a side (default 128)")
     fit.add_argument("--lights", type=int, default=1024, help="of a rendered loss: lights in the scene (default 1024)")
@@ -127,7 +127,7 @@ def build_parser() -> argparse.ArgumentParser:
     render = _parser(commands.add_parser("render", help="draw measured BRDFs or fits"), RENDER)
     render.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
     render.add_argument(
-        "--environment", help=".exr or .hdr, latitude-longitude or angular map (default: the bundled grove)"
+        "--environment", default="grove", help="grove (default), studio, or .exr or .hdr: lat-long or angular map"
     )
     render.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
     render.add_argument("--rotate", type=float, default=0.0, help="turn the view by so many degrees (default 0)")
@@ -224,7 +224,7 @@ def _loss(options: argparse.Namespace) -> "Loss":
     from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh
 
     difference = DIFFERENCES[options.difference]()
-    light = Environment.from_file(options.environment) if options.environment else Environment.default()
+    light = Environment.find(options.environment)
     mesh = find_mesh(options.shape)
     scene = Scene(mesh, None, light, size=options.size, lights=options.lights, cache=cache_folder())
     return RenderedLoss(scene, difference)
@@ -244,7 +244,7 @@ def render_command(options: argparse.Namespace) -> int:
     from torchbrdf.render import Environment, Scene, View, find_mesh, render
 
     out = writable(options.out)
-    light = Environment.from_file(options.environment) if options.environment else Environment.default()
+    light = Environment.find(options.environment)
     scene = Scene(find_mesh(options.shape), View(options.rotate), light, size=options.size, backend=options.backend)
     groups, complete = _load(options.files)
     for group in groups:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.images import luminance, read_image
 from torchbrdf.render.octahedral import padded, texel_centers, to_sphere, to_square
+from torchbrdf.render.studio import make_studio
 from torchbrdf.workers import each
 
 # Texels along a side of the map that an environment is kept as; 0.4 degrees each.
@@ -56,6 +57,13 @@ class Environment:
         """The grove that comes with the package; `torchbrdf.render.grove` made it."""
         with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "grove.exr") as path:
             return cls.from_file(path, rotation)
+
+    @classmethod
+    def find(cls, name: str, rotation: float = 0.0) -> "Environment":
+        """The grove, the studio (`torchbrdf.render.studio`), or a light probe's file."""
+        if name == "grove":
+            return cls.default(rotation)
+        return cls.from_image(make_studio(), rotation) if name == "studio" else cls.from_file(name, rotation)
 
     @classmethod
     def from_image(cls, image: Tensor, rotation: float = 0.0, where: str = "environment") -> "Environment":

@@ -1,6 +1,8 @@
-"""Studies end to end: fits, pictures, tables, figures, and the page that shows them."""
+"""What a study finds, in tables, figures and a page."""
 
+from torchbrdf.report.gallery import Gallery
+from torchbrdf.report.images_page import write_images_report
 from torchbrdf.report.page import write_report
-from torchbrdf.report.study import Study, picture
+from torchbrdf.report.study import STANDINS, Study, gather
 
-__all__ = ["Study", "picture", "write_report"]
+__all__ = ["STANDINS", "Gallery", "Study", "gather", "write_images_report", "write_report"]

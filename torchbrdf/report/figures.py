@@ -1,7 +1,7 @@
 """The report's figures, drawn with matplotlib."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +99,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]
 
 
 def quality_figure(
-    path: Path, order: Sequence[str], records: Sequence[dict[str, Any]], models: Sequence[str], losses: Sequence[str],
+    path: Path, order: Sequence[str], records: Sequence[dict[str, Any]], models: Sequence[str], losses: Iterable[str],
     difference: str, stand_in: bool,
 ) -> None:  # fmt: skip
     """An image difference of every fit, one panel a model, materials by rising DoI; outliers in a black rectangle."""
@@ -156,6 +156,26 @@ def beside_figure(path: Path, study: Study, ratio: np.ndarray, gain: np.ndarray)
         right.tick_params(axis="x", which="minor", labelsize=7)
         right.legend(frameon=False)
         _mark(figure, any(group.stand_in for group in study.groups))
+        _save(figure, path)
+
+
+def bars_figure(
+    path: Path, means: Mapping[str, Mapping[str, Sequence[float]]], rendered: Sequence[str], stand_in: bool
+) -> None:
+    """Colour differences of the fits under each loss, a panel a scene; `means[scene][loss]`, one number a fit."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(5.2 * len(means), 0.32 * len(next(iter(means.values()))) + 1.2), layout="constrained")
+        panels = np.atleast_1d(figure.subplots(1, len(means), sharey=True))
+        for panel, (scene, losses) in zip(panels, means.items(), strict=True):
+            for row, (loss, values) in enumerate(losses.items()):
+                low, high = np.quantile(values, [0.25, 0.75])
+                panel.barh(row, np.mean(values), color="#dd8452" if loss in rendered else "#4c72b0")
+                panel.plot([low, high], [row, row], color="black", lw=1)
+                panel.text(np.mean(values), row - 0.28, f" {np.mean(values):.2f}", va="center", fontsize=7)
+            panel.set_yticks(range(len(losses)), [loss.replace("_", " ") for loss in losses])
+            panel.set(xlabel="mean Delta E of the fits to their references", title=f"{scene} scene")
+        panels[0].invert_yaxis()
+        _mark(figure, stand_in)
         _save(figure, path)
 
 

@@ -1,6 +1,6 @@
 """What a report says in numbers: who is best, who is stuck, and which metric orders fits as pictures do."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ def badness(record: dict[str, Any], difference: str) -> float:
     return -value if DIFFERENCES[difference].higher_is_better else value
 
 
-def best_counts(records: Records, losses: Sequence[str], difference: str) -> dict[str, int]:
+def best_counts(records: Records, losses: Iterable[str], difference: str) -> dict[str, int]:
     """For how many (material, model) the fit under each loss has the best image difference."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for record in records:

@@ -1,18 +1,16 @@
 """report.html: one self-contained page."""
 
-import base64
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from PIL import Image
 
 from torchbrdf.files import write_text
 from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
+from torchbrdf.report.inline import png, small
 from torchbrdf.report.labels import Cell, loss_label, model_label
 from torchbrdf.report.strategies import compared
 from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
@@ -51,14 +49,14 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
         group = next(group for group in study.groups if name in group.names)
         same = {
             "material": name,
-            "reference": _small(study.png(picture(name))),
-            "turned": _small(study.png(picture(name, "turned"))),
+            "reference": small(study.png(picture(name))),
+            "turned": small(study.png(picture(name, "turned"))),
             "open": name == unfolded,
         }
         for model in study.models:
             path = figures / f"profile-{name}-{model}.png"
             profile_figure(path, group, [study.record(name, model, loss) for loss in study.losses])
-            rows[model].append(same | {"fits": _fits(study, name, model), "profile": _png(path)})
+            rows[model].append(same | {"fits": _fits(study, name, model), "profile": png(path)})
             advance(1)
     template = Environment(
         loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -80,11 +78,11 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
         beside=beside
         and {
             "label": study.beside,
-            "figure": _png(beside["figure"]),
-            "pictures": beside["pictures"] and _png(beside["pictures"]),
+            "figure": png(beside["figure"]),
+            "pictures": beside["pictures"] and png(beside["pictures"]),
         },
-        gloss=_png(figures / "gloss.png"),
-        quality=_png(figures / "delta_e.png"),
+        gloss=png(figures / "gloss.png"),
+        quality=png(figures / "delta_e.png"),
         tables=[
             *([beside["table"]] if beside else []),
             *_error_tables(study, order),
@@ -145,7 +143,7 @@ def _fits(study: Study, material: str, model: str) -> list[dict[str, Any]]:
     return [
         {
             "loss": loss,
-            "image": _small(study.png(picture(material, model, loss))),
+            "image": small(study.png(picture(material, model, loss))),
             "outlier": record["outlier"],
             "delta_e": record["differences"][DIFFERENCE],
         }
@@ -243,15 +241,3 @@ def _lobes_table(study: Study) -> list[dict[str, Any]]:
             "rows": rows,
         }
     ]
-
-
-def _png(path: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
-
-
-def _small(path: Path) -> str:
-    """A render as WebP: all of a study's pictures in one page of a few megabytes."""
-    data = io.BytesIO()
-    with Image.open(path) as image:
-        image.save(data, format="WEBP", quality=90)
-    return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()

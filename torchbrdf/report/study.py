@@ -1,23 +1,24 @@
 """A study: models fitted to materials under losses, scored across them, and drawn. Finished parts are taken up."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_csv
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
-from torchbrdf.losses import LOSSES
-from torchbrdf.measured import Measured
+from torchbrdf.losses import Loss
+from torchbrdf.measured import Measured, load_all, standins
 from torchbrdf.recipe import RunFolder
 from torchbrdf.render import Scene, render
 
+STANDINS = "stand-ins"
 REFERENCE = "reference"
 # Image differences that the report speaks of, by their registered names.
 SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e")
@@ -28,13 +29,14 @@ DIFFERENCE = "delta_e"
 class Study:
     """What a study compares, the folder it works in, and its records, one a fit, as in `fits.json`.
 
-    beside: another strategy, whose fits with the first number of lobes are compared with those of `strategy`.
+    losses: by the names that records and pictures have. beside: another strategy, whose fits with the first number of
+    lobes are compared with those of `strategy`.
     """
 
     folder: RunFolder
     groups: list[Measured]
     models: Sequence[str]
-    losses: Sequence[str]
+    losses: Mapping[str, Loss]
     lobes: Sequence[int] = (2,)
     strategy: str = "global"
     beside: str | None = None
@@ -47,8 +49,6 @@ class Study:
     def __post_init__(self) -> None:
         for name in self.models:
             LOBES[name]
-        for name in self.losses:
-            LOSSES[name]
         for name in (self.strategy, *([self.beside] if self.beside else [])):
             STRATEGIES[name]
         if self.beside == self.strategy:
@@ -113,7 +113,7 @@ class Study:
         return all((strategy, model, lobes, name) in there for name in group.names)
 
     def _fit(self, strategy: str, model: str, lobes: int, group: Measured, advance: Any) -> list[dict[str, Any]]:
-        losses = [LOSSES[name]() for name in self.losses]
+        losses = list(self.losses.values())
         results = [
             fit(
                 make_model(model, lobes),
@@ -217,6 +217,20 @@ class Study:
 
     def _read(self, names: list[str]) -> Tensor:
         return torch.stack([read_image(self.exr(name)) for name in names])
+
+
+def gather(materials: str, folder: RunFolder, quick: bool) -> tuple[list[Measured], list[str]]:
+    """The measured BRDFs of a file or a folder (or the stand-ins), two of each kind if it is to be quick, and what was
+    left out."""
+    bad: list[DataError] = []
+    groups = load_all(standins() if materials == STANDINS else materials, bad=bad)
+    if not groups:
+        raise bad[0] if bad else DataError(f"{materials}: no measured BRDFs")
+    for error in bad:
+        folder.warn(f"left out: {error}")
+    if quick:
+        groups = [group.batch(range(min(2, len(group)))) for group in groups]
+    return groups, [str(error) for error in bad]
 
 
 def picture(material: str, *parts: str) -> str:
