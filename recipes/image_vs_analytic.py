@@ -63,7 +63,7 @@ class ImageVsAnalytic(Recipe):
         size, train, lights = self.size, self.train_size, self.lights
         samples, models, rendered = self.samples, self.models, self.rendered
         if self.quick:
-            size, train, lights, samples = min(size, 64), min(train, 48), 256, min(samples or 4000, 4000)
+            size, train, lights, samples = min(size, 48), min(train, 32), 128, min(samples or 4000, 4000)
             models, rendered = models[:1], rendered[-1:]
         groups, bad = gather(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)

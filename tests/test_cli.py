@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from torchbrdf.cli import main
+from torchbrdf.images import read_image
 from torchbrdf.lobes import CookTorrance, Lambert, Sum, parameters, write_fits
 
 
@@ -53,6 +54,48 @@ def test_render_writes_pictures(paint, tmp_path, capsys):
     assert main(["render", str(paint), "--size", "32", "--shape", "sphere", "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "paint.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "out" / "paint.exr").exists()
+
+
+def test_pictures_are_a_loss(paint, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("TORCHBRDF_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    arguments = [
+        "fit",
+        str(paint),
+        "--model",
+        "cook_torrance",
+        "--lobes",
+        "1",
+        "--diffuse",
+        "fit",
+        "--loss",
+        "rendered",
+    ]
+    arguments += ["--difference", "delta_e", "--size", "24", "--lights", "64", "--out", str(out)]
+    assert main(arguments) == 0
+    (record,) = json.loads((out / "fits.json").read_text())
+    assert record["loss"] == "rendered_delta_e" and record["error"] < 0.05
+    assert record["parameters"]["roughness"] == pytest.approx([0.2], rel=1e-2)
+    assert record["scene"].startswith("24 x 24 pixels") and "64 lights" in record["scene"]
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+    assert main(arguments) == 0  # taken up
+    capsys.readouterr()
+    assert main([*arguments, "--size", "25"]) == 1
+    assert "give another folder" in capsys.readouterr().err
+
+
+def test_lamps_and_shadows(paint, tmp_path, capsys):
+    arguments = ["render", str(paint), "--size", "40", "--environment", "none", "--elevation", "20"]
+    assert main(arguments) == 2
+    assert "an environment or a lamp" in capsys.readouterr().err
+    assert main([*arguments, "--lamp", "directional:1,2", "--out", str(tmp_path)]) == 2
+    assert "light directional:1,2" in capsys.readouterr().err
+    pytest.importorskip("embreex")
+    for name, more in (("plain", []), ("shadows", ["--shadows"])):
+        out = tmp_path / name
+        assert main([*arguments, "--lamp", "directional:1,0.2,-0.3:3", *more, "--out", str(out)]) == 0
+    plain, shadows = (read_image(tmp_path / name / "paint.exr") for name in ("plain", "shadows"))
+    assert (shadows <= plain).all() and shadows.sum() < plain.sum()
 
 
 def test_info_says_what_a_file_holds(paint, capsys):

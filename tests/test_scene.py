@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from painted import MATERIALS, Painted
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError, UsageError
-from torchbrdf.images import DIFFERENCES, ToneMap, read_image
+from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Lambert, Sum, Ward
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -93,61 +92,6 @@ def test_pictures_against_brute_force(grove: Environment, level: int, size: int,
     assert (quality > torch.tensor([*least.values()])).all(), dict(zip(least, quality.tolist(), strict=True))
     ratio = found.mean((1, 2, 3)) / expected.mean((1, 2, 3))
     np.testing.assert_allclose(ratio.numpy(), 1, rtol=1e-2)
-
-
-def test_pictures_against_mitsuba(grove: Environment, tmp_path: Path) -> None:
-    """On a sphere, which casts no shadow on itself."""
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("scalar_rgb")
-    size, view, mesh = 32, View(20.0), sphere(5)
-    mesh.save(tmp_path / "sphere.ply")
-    eye, _ = view.camera(mesh)
-    transform = mitsuba.ScalarTransform4f
-    image = read_image(Path(__file__).parents[1] / "assets" / "grove.exr")
-
-    def beckmann(pairs: Pairs) -> Tensor:
-        """Mitsuba's rough conductor that reflects everything, alpha = 0.3 (Walter et al. 2007, eq. 25 to 27)."""
-
-        def shadowing(cosine: Tensor) -> Tensor:
-            a = cosine / (0.3 * (1 - cosine.square()).clamp_min(1e-12).sqrt())
-            return torch.where(a < 1.6, (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a), 1)
-
-        cos_i, cos_o = pairs.cos_i.clamp_min(1e-6), pairs.cos_o
-        facets = torch.exp(-pairs.tan2_h / 0.09) * (1 + pairs.tan2_h).square() / (math.pi * 0.09)
-        value = facets * shadowing(cos_i) * shadowing(cos_o) / (4 * cos_i * cos_o)
-        return torch.where(pairs.above, value, 0)[..., None].expand(-1, -1, 3)
-
-    conductor = {"type": "roughconductor", "material": "none", "distribution": "beckmann", "alpha": 0.3}
-    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
-    scene = Scene(mesh, view, grove, size=size)
-    whole = scene.coverage == 1
-    for surface, material in ((grey, Lambert(albedo=0.5)), (conductor, beckmann)):
-        theirs = mitsuba.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "direct", "hide_emitters": True},
-                "sensor": {
-                    "type": "perspective",
-                    "fov": view.field_of_view,
-                    "to_world": transform().look_at(origin=list(eye), target=[0, 0, 0], up=[0, 1, 0]),
-                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-                    "sampler": {"type": "independent", "sample_count": 256},
-                },
-                "object": {"type": "ply", "filename": str(tmp_path / "sphere.ply"), "bsdf": surface},
-                # its middle is +z
-                "light": {
-                    "type": "envmap",
-                    "bitmap": mitsuba.Bitmap(image.numpy()),
-                    "to_world": transform().rotate([0, 1, 0], 180),
-                },
-            }
-        )
-        expected = torch.from_numpy(np.array(mitsuba.render(theirs))[..., :3])
-        found = render(material, scene)[0]
-        tone = ToneMap.from_images(expected, whole)
-        # 256 random samples a pixel leave about as much noise
-        assert DIFFERENCES["psnr"]()(tone(found)[None], tone(expected)[None], whole) > 29
-        assert (found[whole].mean() / expected[whole].mean()).item() == pytest.approx(1, rel=0.01)
 
 
 def test_a_mirror_shows_its_surroundings_the_right_way_round() -> None:

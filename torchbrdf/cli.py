@@ -127,11 +127,16 @@ def build_parser() -> argparse.ArgumentParser:
     render = _parser(commands.add_parser("render", help="draw measured BRDFs or fits"), RENDER)
     render.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
     render.add_argument(
-        "--environment", default="grove", help="grove (default), studio, or .exr or .hdr: lat-long or angular map"
+        "--environment", default="grove", help="grove (default), studio, none, or .exr or .hdr: lat-long or angular map"
     )
     render.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
     render.add_argument("--rotate", type=float, default=0.0, help="turn the view by so many degrees (default 0)")
+    render.add_argument("--elevation", type=float, default=0.0, help="degrees to look down from (default 0)")
     render.add_argument("--size", type=int, default=400, help="pixels of a side (default 400)")
+    render.add_argument(
+        "--lamp", action="append", default=[], help="directional:X,Y,Z:COLOR or point:X,Y,Z:COLOR; may come again"
+    )
+    render.add_argument("--shadows", action="store_true", help="the object casts shadows on itself (needs embreex)")
     render.add_argument(
         "--backend", default="auto", help="pyrender (OpenGL), software, or auto (default): OpenGL where it works"
     )
@@ -241,11 +246,21 @@ def render_command(options: argparse.Namespace) -> int:
     """`torchbrdf render`."""
     from torchbrdf.files import writable
     from torchbrdf.images import ToneMap, over, write_exr, write_png
-    from torchbrdf.render import Environment, Scene, View, find_mesh, render
+    from torchbrdf.render import Environment, Scene, View, find_mesh, parse_lamp, render
 
     out = writable(options.out)
-    light = Environment.find(options.environment)
-    scene = Scene(find_mesh(options.shape), View(options.rotate), light, size=options.size, backend=options.backend)
+    if options.environment == "none" and not options.lamp:
+        raise UsageError("render: expected an environment or a lamp, found neither")
+    light = None if options.environment == "none" else Environment.find(options.environment)
+    scene = Scene(
+        find_mesh(options.shape),
+        View(options.rotate, elevation=options.elevation),
+        light,
+        size=options.size,
+        lamps=[parse_lamp(text) for text in options.lamp],
+        shadows=options.shadows,
+        backend=options.backend,
+    )
     groups, complete = _load(options.files)
     for group in groups:
         pictures = render(group, scene)

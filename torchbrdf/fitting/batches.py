@@ -62,9 +62,10 @@ class Batches:
     def _check(self, record: dict[str, Any]) -> None:
         model, lobes = model_name(self.model)
         wanted = {"model": model, "lobes": lobes, "loss": self.loss.registered_name, **self.settings}
+        wanted["scene"] = self.loss.scene or None
         if record.get("samples") is None:  # every pair: as asked for, or because there were no more
             wanted["samples"] = None
-        for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed"):
+        for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):
             if key in wanted and record.get(key) != wanted[key]:
                 raise DataError(
                     f"{self.out}/fits.json: {record['material']} was fitted with {key} {record.get(key)}, not "

@@ -112,6 +112,7 @@ def fit(
         max_theta=max_theta,
         samples=None if subset is None else len(subset),
         seed=seed,
+        scene=loss.scene,
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 

@@ -22,8 +22,9 @@ class FitResult:
 
     `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
     the solver saw, `(M,)` each; `status` says of each material whether the solver converged, and `reason` why not;
-    `starts` is how many starts the strategy tried, `ties` how many other minima of each material came within 1 % of
-    the best on the subset; `history` has the stages. `seconds` is the time of the whole batch.
+    `scene` says what a rendered loss saw; `starts` is how many starts the strategy tried, `ties` how many other minima
+    of each material came within 1 % of the best on the subset; `history` has the stages. `seconds` is the time of the
+    whole batch.
     """
 
     names: list[str]
@@ -41,6 +42,7 @@ class FitResult:
     max_theta: float
     samples: int | None
     seed: int
+    scene: str = ""
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[dict[str, Any]]:
@@ -64,6 +66,7 @@ class FitResult:
                 "max_theta": self.max_theta,
                 "samples": self.samples,
                 "seed": self.seed,
+                **({"scene": self.scene} if self.scene else {}),
                 "diffuse": self.diffuse,
                 "iterations": sum(stage.iterations[k] for stage in self.history),
                 "parameters": parameters(self.model, k),
@@ -100,6 +103,7 @@ class FitResult:
             max_theta=first["max_theta"],
             samples=first["samples"],
             seed=first["seed"],
+            scene=first.get("scene", ""),
         )
 
 

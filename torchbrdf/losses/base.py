@@ -61,6 +61,8 @@ class Loss(nn.Module):
 
     needs: ClassVar[tuple[str, ...]] = ()
     subsets: ClassVar[bool] = True
+    scene: str = ""
+    """What pictures it compares, in words, if it compares pictures; fits record it."""
     rounding: ClassVar[tuple[float | None, ...]] = (None,)
     """Widths over which a cusp at equal values is rounded on the way to a minimum, in units of the mean of what is
     encoded, one after the other; None: there is no cusp."""

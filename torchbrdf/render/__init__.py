@@ -3,7 +3,7 @@
 from torchbrdf.render.cache import cache_folder
 from torchbrdf.render.draw import render
 from torchbrdf.render.environment import Environment
-from torchbrdf.render.lamps import DirectionalLight, PointLight
+from torchbrdf.render.lamps import DirectionalLight, PointLight, parse_lamp
 from torchbrdf.render.mesh import Mesh, blob, find_mesh, sphere
 from torchbrdf.render.raster import View
 from torchbrdf.render.rendered import RenderedLoss
@@ -22,6 +22,7 @@ __all__ = [
     "blob",
     "cache_folder",
     "find_mesh",
+    "parse_lamp",
     "render",
     "sphere",
 ]

@@ -35,7 +35,7 @@ def kept(folder: Path, ingredients: list[object], build: Callable[[], Made]) -> 
 
     A file that cannot be read is made anew, and a folder that cannot be written is passed over; either is said.
     """
-    path = folder / f"transport-{_hash(ingredients)}.npz"
+    path = folder / f"transport-{digest(ingredients)}.npz"
     log = logging.getLogger("torchbrdf")
     if path.exists():
         try:
@@ -53,7 +53,8 @@ def kept(folder: Path, ingredients: list[object], build: Callable[[], Made]) -> 
     return made
 
 
-def _hash(ingredients: list[object]) -> str:
+def digest(ingredients: list[object]) -> str:
+    """A short hash of arrays, and of anything else by what it shows."""
     found = hashlib.sha256(__version__.encode())
     for one in ingredients:
         if isinstance(one, np.ndarray):

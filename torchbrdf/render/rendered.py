@@ -48,6 +48,7 @@ class RenderedLoss(ObservedLoss):
             name = self.difference.registered_name
             raise UsageError(f"RenderedLoss: {name} needs pictures of {least} pixels a side, found {scene.size}")
         self.pairs, self.transport, self.mask = scene.pairs, scene.transport, scene.mask
+        self.scene = scene.summary
         # Rounded over widths in units of the difference from black.
         self.rounding = (0.1, 0.01, 0.001) if self.curved and self._pixelwise.power == 1 else (None,)  # type: ignore[misc]
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
-from torchbrdf.render.cache import kept
+from torchbrdf.render.cache import digest, kept
 from torchbrdf.render.environment import Environment
 from torchbrdf.render.lamps import Lamp
 from torchbrdf.render.mesh import Mesh
@@ -131,6 +131,16 @@ class Scene:
         light = [self.environment.texels.numpy(), self.environment.rotation] if self.environment else []
         numbers = (self.view, self.size, self.nodes, self.lights, self.lamps, self.shadows, self.resolution)
         return [*mesh, *light, repr(numbers), self._pixels.index.numpy(), self._pixels.frame.numpy()]
+
+    @property
+    def summary(self) -> str:
+        """What a picture of it is made of, in words, and a hash of all of that."""
+        light = (
+            f"{self.nodes} directions around the mirror's and {self.lights} lights a pixel" if self.environment else ""
+        )
+        lamps = f"{len(self.lamps)} lamps" if self.lamps else ""
+        parts = [f"{self.size} x {self.size} pixels", light, lamps, digest(self._ingredients())]
+        return ", ".join(part for part in parts if part)
 
     @property
     def pairs(self) -> Pairs:

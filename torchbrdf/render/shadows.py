@@ -39,9 +39,10 @@ class Occluder:
         # Embree knows only float32: of coordinates about the middle, it keeps the most.
         self._center = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
         corners = (mesh.vertices - self._center)[mesh.faces]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._flat = _unit(across)
         self._corners, self._normals = corners, mesh.normals[mesh.faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # On the side that the normals point to, whichever way round the corners go.
+        self._flat = _unit(across) * np.where((across * self._normals.sum(1)).sum(1) < 0, -1.0, 1.0)[:, None]
         self._clearance = _CLEARANCE * float(np.abs(mesh.vertices).max())
         # Without "robust", rays slip between triangles that meet in a corner.
         self._scene: Any = EmbreeScene(robust=True)

@@ -1,0 +1,128 @@
+"""What pictures cost as a loss, and what fits under them look like.
+
+python benchmarks/images.py MERL/        a folder of MERL tables: the first is used for single figures, all for fits
+"""
+
+import statistics
+import sys
+import time
+
+import torch
+
+from torchbrdf.fitting import fit
+from torchbrdf.images import DIFFERENCES, ToneMap
+from torchbrdf.lobes import make_model
+from torchbrdf.losses import LOSSES, CosineRMSLoss
+from torchbrdf.measured import load_all
+from torchbrdf.render import Environment, RenderedLoss, Scene, View, blob, render, sphere
+from torchbrdf.render.raster import rasterize
+
+ANALYTIC = ("rms", "cosine", "cuberoot", "compressed", "log")
+REPEATS = 7
+
+
+def seconds(work, repeats=REPEATS):
+    """The median of several runs after one that warms up."""
+    work()
+    found = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return statistics.median(found)
+
+
+def step(loss, problem):
+    """Forward and backward through a two-lobe Ward model, as in a user's own training loop."""
+    model = make_model("ward", 2)
+
+    def work():
+        model.zero_grad()
+        loss(model(problem.pairs).expand_as(problem.target), problem.target, problem.pairs, problem.weight).backward()
+
+    return seconds(work)
+
+
+def steps(measured, scene):
+    """A step of rendered-image loss beside one of CosineRMSLoss on all valid bins."""
+    whole = measured.within(90)
+    valid = (whole.weight[0, :, 0] > 0).nonzero()[:, 0]
+    analytic = CosineRMSLoss()
+    problem = analytic.problem(whole, valid)
+    problem = type(problem)(problem.pairs, problem.target)
+    unit = step(analytic, problem)
+    print(f"step, CosineRMSLoss, {len(valid)} bins{'':26s}{1e3 * unit:9.1f} ms    1.00")
+    for name in ("log_hdr", "psnr", "delta_e", "delta_e2000", "ssim", "flip"):
+        loss = RenderedLoss(scene, name)
+        took = step(loss, loss.problem(measured))
+        print(f"step, rendered {name:12s} {scene.size} x {scene.size}, {scene.lights} lights"
+              f"{1e3 * took:18.1f} ms {took / unit:7.2f}")  # fmt: skip
+
+
+def products(scene):
+    """The transport's size and products."""
+    began = time.perf_counter()
+    transport = scene.transport
+    made = time.perf_counter() - began
+    values = torch.rand(1, transport.count, 3)
+    print(
+        f"transport: {transport.count} pairs, {transport.entries / 1e6:.1f} M entries, "
+        f"{16 * transport.entries / 2**20:.0f} MiB, made in {made:.2f} s"
+    )
+    print(f"a product {1e3 * seconds(lambda: transport.pixels(values)):.1f} ms, "
+          f"of 8 columns {1e3 * seconds(lambda: transport.columns(values[0, :, 0].expand(8, -1))):.1f} ms")  # fmt: skip
+
+
+def fits(materials, scene):
+    """Two-lobe Ward fits under every loss, judged by the colour difference in scenes seen and unseen."""
+    studio = Scene(sphere(), View(140, elevation=20), Environment.find("studio"), size=128)
+    seen = Scene(blob(), View(), Environment.default(), size=128)
+    losses = {name: LOSSES[name]() for name in ANALYTIC}
+    losses |= {f"rendered {name}": RenderedLoss(scene, name) for name in ("log_hdr", "delta_e")}
+    measure = DIFFERENCES["delta_e"]()
+    for where, place in (("unseen", studio), ("training", seen)):
+        references = render(materials, place)
+        tone = ToneMap.from_images(references, place.mask.expand(references.shape[:-1]))
+        best = None
+        for name, loss in losses.items():
+            began = time.perf_counter()
+            result = fit(make_model("ward", 2), materials, loss, diffuse="fit")
+            took = time.perf_counter() - began
+            found = measure(tone(render(result.model, place)), tone(references), place.mask)
+            if name in ANALYTIC:
+                best = found if best is None else torch.minimum(best, found)
+                said = ""
+            else:
+                said = f"   no worse than the best analytic metric in {int((found <= best).sum())} of {len(found)}"
+            print(f"{where:9s} fits under {name:20s} {took:6.1f} s   mean Delta E {found.mean():6.2f}{said}")
+    for name in ("log_hdr", "delta_e"):
+        loss = RenderedLoss(scene, name)
+        began = time.perf_counter()
+        fit(make_model("ward", 2), materials.batch([0]), loss, diffuse="fit")
+        print(f"one two-lobe Ward fit under rendered {name}: {time.perf_counter() - began:.2f} s")
+
+
+def pictures(measured):
+    """A G-buffer and a final picture."""
+    mesh = blob()
+    print(f"G-buffer, 400 x 400, software: {seconds(lambda: rasterize(mesh, View(), 400)):.3f} s")
+    began = time.perf_counter()
+    scene = Scene(mesh, View(), size=400, lights=2048)
+    made = time.perf_counter() - began
+    took = seconds(lambda: render(measured, scene), 3)
+    print(f"a table, 400 x 400, 2048 lights: scene {made:.2f} s, picture {took:.2f} s")
+
+
+def main(folder):
+    """Print all figures."""
+    (materials,) = load_all(folder)
+    first = materials.batch([0])
+    scene = Scene(blob(), View(), Environment.default(), size=128, lights=2048)
+    products(scene)
+    steps(first, scene)
+    pictures(first)
+    fits(materials, scene)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
