@@ -76,25 +76,29 @@ def products(scene):
 def fits(materials, scene):
     """Two-lobe Ward fits under every loss, judged by the colour difference in scenes seen and unseen."""
     studio = Scene(sphere(), View(140, elevation=20), Environment.find("studio"), size=128)
-    seen = Scene(blob(), View(), Environment.default(), size=128)
-    losses = {name: LOSSES[name]() for name in ANALYTIC}
-    losses |= {f"rendered {name}": RenderedLoss(scene, name) for name in ("log_hdr", "delta_e")}
-    measure = DIFFERENCES["delta_e"]()
-    for where, place in (("unseen", studio), ("training", seen)):
+    places = {"unseen": studio, "training": Scene(blob(), View(), Environment.default(), size=128)}
+    measure, judges, best = DIFFERENCES["delta_e"](), {}, {}
+    for where, place in places.items():
         references = render(materials, place)
         tone = ToneMap.from_images(references, place.mask.expand(references.shape[:-1]))
-        best = None
-        for name, loss in losses.items():
-            began = time.perf_counter()
-            result = fit(make_model("ward", 2), materials, loss, diffuse="fit")
-            took = time.perf_counter() - began
-            found = measure(tone(render(result.model, place)), tone(references), place.mask)
+        judges[where] = tone, tone(references)
+    runs = [(name, LOSSES[name](), diffuse) for name in ANALYTIC for diffuse in ("45:0", "fit")]
+    runs += [(name, RenderedLoss(scene, name), "fit") for name in ("log_hdr", "delta_e")]
+    for name, loss, diffuse in runs:
+        began = time.perf_counter()
+        result = fit(make_model("ward", 2), materials, loss, diffuse=diffuse)
+        line = f"{loss.registered_name:18s} diffuse {diffuse:5s} {time.perf_counter() - began:6.1f} s   mean Delta E"
+        for where, place in places.items():
+            tone, shown = judges[where]
+            found = measure(tone(render(result.model, place)), shown, place.mask)
+            line += f"   {where} {found.mean():6.2f}"
             if name in ANALYTIC:
-                best = found if best is None else torch.minimum(best, found)
-                said = ""
+                for key in ((where, diffuse), (where, "either")):
+                    best[key] = torch.minimum(best.get(key, found), found)
             else:
-                said = f"   no worse than the best analytic metric in {int((found <= best).sum())} of {len(found)}"
-            print(f"{where:9s} fits under {name:20s} {took:6.1f} s   mean Delta E {found.mean():6.2f}{said}")
+                said = [f"{int((found <= best[where, key]).sum())} ({key})" for key in ("fit", "either")]
+                line += f", no worse than the best analytic metric in {', '.join(said)} of {len(found)}"
+        print(line)
     for name in ("log_hdr", "delta_e"):
         loss = RenderedLoss(scene, name)
         began = time.perf_counter()

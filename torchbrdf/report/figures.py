@@ -17,6 +17,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
+from torchbrdf.report.labels import loss_label
 from torchbrdf.report.study import Study
 
 STAND_IN = "stand-in materials, not measurements"
@@ -172,7 +173,7 @@ def bars_figure(
                 panel.barh(row, np.mean(values), color="#dd8452" if loss in rendered else "#4c72b0")
                 panel.plot([low, high], [row, row], color="black", lw=1)
                 panel.text(np.mean(values), row - 0.28, f" {np.mean(values):.2f}", va="center", fontsize=7)
-            panel.set_yticks(range(len(losses)), [loss.replace("_", " ") for loss in losses])
+            panel.set_yticks(range(len(losses)), [loss_label(loss) for loss in losses])
             panel.set(xlabel="mean Delta E of the fits to their references", title=f"{scene} scene")
         panels[0].invert_yaxis()
         _mark(figure, stand_in)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib
@@ -14,6 +15,7 @@ from torchbrdf.images.differences.delta_e import lab
 from torchbrdf.lobes import model_of
 from torchbrdf.render import Scene, render
 from torchbrdf.report.study import Study, picture
+from torchbrdf.workers import each
 
 # A colour difference that the maps show as the brightest colour.
 BRIGHTEST = 20.0
@@ -61,10 +63,9 @@ class Gallery:
             references = dict(
                 zip(study.materials, self._read(name, [picture(one) for one in study.materials]), strict=True)
             )
-            for record in study.shown:
-                fit = study.picture(record)
-                linear = torch.cat([self._read(name, [fit]), references[record["material"]][None]])
-                record.setdefault("pictures", {})[name] = self._compare(name, scene, fit, linear)
+            compare = partial(self._compare, name, scene, references)
+            for record, found in zip(study.shown, each(compare, study.shown), strict=True):
+                record.setdefault("pictures", {})[name] = found
                 advance(1)
         study.save()
 
@@ -81,7 +82,11 @@ class Gallery:
                 advance(1)
             self.study.folder.log(f"{name}: {len(names)} renders: {names[0]} to {names[-1]}")
 
-    def _compare(self, name: str, scene: Scene, fit: str, linear: Tensor) -> dict[str, float]:
+    def _compare(
+        self, name: str, scene: Scene, references: Mapping[str, Tensor], record: dict[str, Any]
+    ) -> dict[str, float]:
+        fit = self.study.picture(record)
+        linear = torch.cat([self._read(name, [fit]), references[record["material"]][None]])
         shown = self.tones[name](linear)
         write_png(self.path(name, fit), over(shown[0], scene.coverage))
         first, second = lab(shown)

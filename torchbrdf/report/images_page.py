@@ -14,7 +14,7 @@ from torchbrdf.report import numbers
 from torchbrdf.report.figures import bars_figure
 from torchbrdf.report.gallery import BRIGHTEST, Gallery
 from torchbrdf.report.inline import png, small
-from torchbrdf.report.labels import Cell, loss_label, model_label
+from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
 from torchbrdf.report.study import Study, picture
 
 TITLE = "Which metric stands in for looking at pictures?"
@@ -89,7 +89,7 @@ def findings(gallery: Gallery, training: str, unseen: str, analytic: list[str], 
         rivals = {key: min(_by_fit(seen, x)[key] for x in analytic) for key in ours}
         count = sum(ours[key] <= rivals[key] for key in ours)
         lines.append(
-            f"{loss_label(loss).capitalize()}: in the unseen scene no farther from the reference than the best of all "
+            f"{loss_label(loss)}: in the unseen scene no farther from the reference than the best of all "
             f"{len(analytic)} analytic metrics in {count} of {len(ours)} fits. A fit took "
             f"{_seconds(study, loss):.1f} s; analytic ones {min(_seconds(study, x) for x in analytic):.2f} to "
             f"{max(_seconds(study, x) for x in analytic):.2f} s."
@@ -195,10 +195,3 @@ def _costs(study: Study) -> dict[str, Any]:
     head = ["loss", *(f"{model_label(model)}, s" for model in study.models), "not converged"]
     note = "Seconds a fit, on this machine, with all materials fitted side by side."
     return {"title": "Cost", "note": note, "head": head, "rows": rows}
-
-
-def difference_label(name: str) -> str:
-    """An image difference's name for people."""
-    labels = {"delta_e": "ΔE 76", "delta_e2000": "ΔE 2000", "flip": "FLIP", "ssim": "SSIM", "ms_ssim": "MS-SSIM"}
-    unit = DIFFERENCES[name].unit
-    return labels.get(name, name.upper() if name == "psnr" else name.replace("_", " ")) + (f", {unit}" if unit else "")

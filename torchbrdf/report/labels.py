@@ -4,6 +4,17 @@ from dataclasses import dataclass
 
 LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
 
+DIFFERENCE_LABELS = {
+    "psnr": "PSNR",
+    "ssim": "SSIM",
+    "ms_ssim": "MS-SSIM",
+    "flip": "FLIP",
+    "delta_e": "ΔE 76",
+    "delta_e2000": "ΔE 2000",
+    "log_hdr": "log HDR",
+    "compressed_hdr": "compressed HDR",
+}
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -16,7 +27,14 @@ class Cell:
 
 def loss_label(name: str) -> str:
     """A metric's name for people."""
+    if name.startswith("rendered_"):
+        return f"rendered {difference_label(name.removeprefix('rendered_'))}"
     return LOSS_LABELS.get(name, name.replace("_", " "))
+
+
+def difference_label(name: str) -> str:
+    """An image difference's name for people."""
+    return DIFFERENCE_LABELS.get(name, name.replace("_", " "))
 
 
 def model_label(name: str) -> str:

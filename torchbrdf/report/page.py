@@ -11,13 +11,12 @@ from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
 from torchbrdf.report.inline import png, small
-from torchbrdf.report.labels import Cell, loss_label, model_label
+from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
 from torchbrdf.report.strategies import compared
 from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
 
 # The paper's Figure 4 shows this material; its profile is unfolded.
 UNFOLDED = "alum-bronze"
-DIFFERENCE_LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "delta_e": "ΔE 76"}
 
 
 def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str]) -> Path:
@@ -181,7 +180,7 @@ def _difference_table(study: Study, order: Sequence[str]) -> dict[str, Any]:
     head = [
         "material",
         "model",
-        *(f"{DIFFERENCE_LABELS[d]}, {loss_label(x)}" for d in SHOWN_DIFFERENCES for x in study.losses),
+        *(f"{difference_label(d)}, {loss_label(x)}" for d in SHOWN_DIFFERENCES for x in study.losses),
     ]
     rows = []
     for name in order:
@@ -207,8 +206,8 @@ def _agreement_table(study: Study) -> dict[str, Any]:
         values = [numbers.agreement(shown, metric, difference) for difference in SHOWN_DIFFERENCES]
         counts = [numbers.best_counts(shown, study.losses, difference)[metric] for difference in SHOWN_DIFFERENCES]
         rows.append([Cell(loss_label(metric)), *(Cell(f"{v:.2f}") for v in values), *(Cell(str(c)) for c in counts)])
-    head = ["metric", *(f"agreement with {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES)]
-    head += [f"best by {DIFFERENCE_LABELS[d]}" for d in SHOWN_DIFFERENCES]
+    head = ["metric", *(f"agreement with {difference_label(d)}" for d in SHOWN_DIFFERENCES)]
+    head += [f"best by {difference_label(d)}" for d in SHOWN_DIFFERENCES]
     note = (
         "Agreement: Spearman's rank correlation between the metric's error and the image difference over all fits of a "
         "material, averaged over materials; 1 means always the same order. Best: for how many materials and models the "
