@@ -146,7 +146,7 @@ def build_parser() -> argparse.ArgumentParser:
     view = _parser(commands.add_parser("view", help="write a page to compare measured BRDFs and fits"), VIEW)
     view.add_argument("files", nargs="+", help="measured BRDFs, fits.json, or folders of them")
     view.add_argument(
-        "--environment", nargs="+", default=["grove"], help=".exr or .hdr light probes, or grove, the bundled (default)"
+        "--environment", nargs="+", default=["grove"], help="grove (default), studio, or .exr or .hdr light probes"
     )
     view.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
     view.add_argument("--size", type=int, default=320, help="pixels of a side (default 320)")
@@ -282,7 +282,7 @@ def view_command(options: argparse.Namespace) -> int:
     out = Path(options.out)
     writable(out.parent)
     mesh = find_mesh(options.shape)
-    lights = [Environment.default() if name == "grove" else Environment.from_file(name) for name in options.environment]
+    lights = [Environment.find(name) for name in options.environment]
     names = distinct([Path(name).stem for name in options.environment])
     groups, complete = _load(options.files)
     if not groups:

@@ -11,7 +11,7 @@ from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import ObservedLoss
 from torchbrdf.report import numbers
-from torchbrdf.report.figures import bars_figure
+from torchbrdf.report.figures import bars_figure, grid_figure
 from torchbrdf.report.gallery import BRIGHTEST, Gallery
 from torchbrdf.report.inline import png, small
 from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
@@ -34,6 +34,9 @@ def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, 
     means = {scene: {x: _values(gallery.seen(scene), x) for x in study.losses} for scene in scenes}
     stand_in = any(group.stand_in for group in study.groups)
     bars_figure(figure, means, rendered, stand_in)
+    for scene in scenes:
+        for model in study.models:
+            _grid(gallery, scene, model, stand_in)
     template = Environment(
         loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     ).get_template("images.html")
@@ -129,6 +132,17 @@ def _block(gallery: Gallery, scene: str, model: str, scenes: Mapping[str, str]) 
         rows.append({"material": material, "reference": small(gallery.path(scene, picture(material))), "fits": fits})
     label = f"{model_label(model)}, {scene} scene ({scenes[scene]})"
     return {"label": label, "losses": [loss_label(loss) for loss in study.losses], "rows": rows}
+
+
+def _grid(gallery: Gallery, scene: str, model: str, stand_in: bool) -> None:
+    """The pictures of one model's fits in one scene as a figure."""
+    study = gallery.study
+    lines = {"reference": [gallery.path(scene, picture(material)) for material in study.materials]}
+    for loss in study.losses:
+        records = [study.record(material, model, loss) for material in study.materials]
+        lines[loss_label(loss)] = [gallery.path(scene, study.picture(record)) for record in records]
+    path = study.folder.path / "figures" / f"{scene}-{model}.png"
+    grid_figure(path, study.materials, lines, stand_in)
 
 
 def _judged(gallery: Gallery, scene: str, words: str) -> dict[str, Any]:
