@@ -207,3 +207,18 @@ def test_what_it_refuses(small: Scene) -> None:
         loss(target, target, small.pairs, torch.ones(1, 1, 1))
     with pytest.raises(ShapeError, match="transport"):
         loss(target[:, 1:], target[:, 1:], small.pairs)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("name", ["delta_e", "ssim"])
+def test_a_gpu_sees_what_the_cpu_sees(small: Scene, name: str) -> None:
+    loss = RenderedLoss(small, name)
+    prediction, target = values(small, mixture(0.2)), values(small, mixture(0.1))
+    found = []
+    for device in ("cpu", "cuda"):
+        one = prediction.to(device).requires_grad_()
+        error = loss(one, target.to(device), small.pairs.to(device))
+        (gradient,) = torch.autograd.grad(error, one)
+        found.append((error.item(), gradient.cpu()))
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-4)
+    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-3, atol=1e-6)

@@ -4,6 +4,8 @@ Every lobe here is a colour times a scalar function, so that f_c = sum_k color_k
 a few columns a pair, the s_k and their derivatives by the lobes' scalars, which all channels share.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -73,6 +75,29 @@ class Columns:
                 found[:, :, row[key], p] = colors[:, :, order[variable.part]] * rate
             p += width
         return found
+
+
+class ErrorOfFits:
+    """What the errors of R problems are made of: each a material of `data` with values of its own.
+
+    materials: `(R,)`, which material each problem is of. values: the held parameters of each problem. parts: those of
+    the model that are present. scale: `(R,)`, the squared error that counts as 1. width: `(R,)`, over which a cusp is
+    rounded.
+    """
+
+    def __init__(
+        self,
+        model: Lobe,
+        data: Any,
+        materials: Tensor,
+        values: Values,
+        variables: list[Variable],
+        parts: list[int],
+        scale: Tensor,
+        width: Tensor | None = None,
+    ) -> None:
+        self.data, self.materials, self.scale, self.width = data, materials, scale, width
+        self.columns = Columns(model, values, variables, parts)
 
 
 def _color(lobe: Lobe) -> str:

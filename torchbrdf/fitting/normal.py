@@ -7,33 +7,14 @@ no graph, a handful of passes over pairs that lie in the processor's cache, and 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.columns import Columns
+from torchbrdf.fitting.columns import ErrorOfFits
 from torchbrdf.fitting.data import Data
-from torchbrdf.fitting.variables import Values, Variable
-from torchbrdf.lobes import Lobe
 
 
-class SquaredError:
-    """The squared error of R problems, each a material of `data` with values of its own, as a function of `variables`.
+class SquaredError(ErrorOfFits):
+    """The squared error under an analytic loss; width as `Loss.penalty_slope` takes it."""
 
-    materials: `(R,)`, which material each problem is of. values: the held parameters of each problem. parts: those of
-    the model that are present. scale: `(R,)`, the squared error that counts as 1. width: as `Loss.penalty_slope` takes
-    it, `(R,)`.
-    """
-
-    def __init__(
-        self,
-        model: Lobe,
-        data: Data,
-        materials: Tensor,
-        values: Values,
-        variables: list[Variable],
-        parts: list[int],
-        scale: Tensor,
-        width: Tensor | None = None,
-    ) -> None:
-        self.data, self.materials, self.scale, self.width = data, materials, scale, width
-        self.columns = Columns(model, values, variables, parts)
+    data: Data
 
     def __call__(self, x: Tensor, rows: Tensor, curvature: bool = True) -> tuple[Tensor, Tensor, Tensor]:
         """Value `(m,)`, gradient `(m, P)` and Gauss-Newton matrix `(m, P, P)` of the problems `rows`, float64."""

@@ -7,10 +7,9 @@ step, and then only small arrays, one number for each observation.
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.columns import Columns
+from torchbrdf.fitting.columns import ErrorOfFits
 from torchbrdf.fitting.data import Chunks
-from torchbrdf.fitting.variables import Values, Variable
-from torchbrdf.lobes import Lobe
+from torchbrdf.fitting.variables import Values
 from torchbrdf.losses import ObservedLoss, Problem
 
 
@@ -33,22 +32,10 @@ class Observations:
         return len(self.target)
 
 
-class ObservedError:
+class ObservedError(ErrorOfFits):
     """As `SquaredError`, for a loss of observations."""
 
-    def __init__(
-        self,
-        model: Lobe,
-        data: Observations,
-        materials: Tensor,
-        values: Values,
-        variables: list[Variable],
-        parts: list[int],
-        scale: Tensor,
-        width: Tensor | None = None,
-    ) -> None:
-        self.data, self.materials, self.scale, self.width = data, materials, scale, width
-        self.columns = Columns(model, values, variables, parts)
+    data: Observations
 
     def __call__(self, x: Tensor, rows: Tensor, curvature: bool = True) -> tuple[Tensor, Tensor, Tensor]:
         """Value `(m,)`, gradient `(m, P)` and Gauss-Newton matrix `(m, P, P)` of the problems `rows`, float64."""

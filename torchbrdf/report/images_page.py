@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
@@ -13,7 +12,7 @@ from torchbrdf.losses import ObservedLoss
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import bars_figure, grid_figure
 from torchbrdf.report.gallery import BRIGHTEST, Gallery
-from torchbrdf.report.inline import png, small
+from torchbrdf.report.inline import png, small, template
 from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
 from torchbrdf.report.study import Study, picture
 
@@ -37,10 +36,7 @@ def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, 
     for scene in scenes:
         for model in study.models:
             _grid(gallery, scene, model, stand_in)
-    template = Environment(
-        loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    ).get_template("images.html")
-    page = template.render(
+    page = template("images.html").render(
         title=TITLE,
         study=study,
         stand_in=stand_in,

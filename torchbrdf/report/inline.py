@@ -1,10 +1,18 @@
-"""Pictures inside a page."""
+"""Pages that hold all their pictures."""
 
 import base64
 import io
 from pathlib import Path
 
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from PIL import Image
+
+
+def template(name: str) -> Template:
+    """A page of this folder, to be filled."""
+    loader = PackageLoader("torchbrdf.report", ".")
+    pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return pages.get_template(name)
 
 
 def png(path: Path) -> str:

@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from torchbrdf.files import write_text
 from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
-from torchbrdf.report.inline import png, small
+from torchbrdf.report.inline import png, small, template
 from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
 from torchbrdf.report.strategies import compared
 from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
@@ -57,10 +55,7 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
             profile_figure(path, group, [study.record(name, model, loss) for loss in study.losses])
             rows[model].append(same | {"fits": _fits(study, name, model), "profile": png(path)})
             advance(1)
-    template = Environment(
-        loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    ).get_template("page.html")
-    page = template.render(
+    page = template("page.html").render(
         title=title,
         materials=order,
         models=[{"label": model_label(model), "rows": rows[model]} for model in study.models],

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jinja2 import Environment as Templates
-from jinja2 import PackageLoader, StrictUndefined
 from PIL import Image
 from torch import Tensor
 
@@ -20,6 +18,7 @@ from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, over
 from torchbrdf.measured import Measured, StandIn
 from torchbrdf.render import Environment, Mesh, Scene, View, render
+from torchbrdf.report.inline import template
 from torchbrdf.report.labels import loss_label, model_label
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
@@ -166,10 +165,7 @@ def _page(
         "frames": frames,
         "numbers": numbers,
     }
-    template = Templates(
-        loader=PackageLoader("torchbrdf.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    ).get_template("view.html")
-    return template.render(
+    return template("view.html").render(
         title=", ".join(materials[:3]) + (f" and {len(materials) - 3} more" if len(materials) > 3 else ""),
         items=items,
         lights=list(zip(lights, tones, strict=True)),
