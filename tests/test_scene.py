@@ -164,6 +164,21 @@ def test_the_threads_are_given_back(small: Scene) -> None:
     assert torch.get_num_threads() == threads
 
 
+def test_what_the_pairs_know_fits_together(small: Scene) -> None:
+    for _, known, weight in small.chunks():
+        known = known.select(samples=(weight.flatten(0, 1) > 0).any(-1).nonzero()[:, 0])
+        derived = Pairs.from_directions(known.wi, known.wo)
+        torch.testing.assert_close(known.wi.norm(dim=-1), torch.ones(1, len(known)))
+        for name, tolerance in {"cos_i": 0, "cos_o": 0, "cos_h": 1e-6, "cos_d": 1e-6, "theta_d": 2e-3}.items():
+            torch.testing.assert_close(getattr(known, name), getattr(derived, name), atol=tolerance, rtol=0)
+        torch.testing.assert_close(known.tan2_h, derived.tan2_h, atol=1e-6, rtol=1e-3)
+        # phi_d has a period of pi, and no meaning where the half vector is the normal
+        steep = (known.tan2_h > 1e-4) & (known.theta_d > 1e-2)
+        away = (known.phi_d - derived.phi_d)[steep]
+        assert (2 * away).sin().abs().max() < 2e-2
+        assert known.phi_d.min() >= 0
+
+
 def test_coverage_is_smooth_at_the_outline(grove: Environment) -> None:
     scene = Scene(sphere(), View(), grove, size=50, nodes=8, lights=4)
     assert torch.equal(scene.mask, scene.coverage > 0)

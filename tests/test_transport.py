@@ -12,6 +12,7 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Ward
+from torchbrdf.pairs import Pairs
 from torchbrdf.render import DirectionalLight, Environment, PointLight, Scene, View, blob, render, sphere
 from torchbrdf.render import cache as cached
 from torchbrdf.render import scene as scenes
@@ -67,6 +68,17 @@ def test_the_picture_is_that_of_the_quadrature(lamps: tuple[DirectionalLight | P
 def test_lamps_alone_have_pairs_of_their_own() -> None:
     scene = Scene(sphere(4), View(), size=16, lamps=LAMPS)
     torch.testing.assert_close(scene.transport @ on(scene), render([*MATERIALS.values()], scene), rtol=1e-3, atol=1e-5)
+
+
+def test_what_the_pairs_know_fits_together(lit: Scene) -> None:
+    known = lit.pairs.to(dtype=torch.float64)
+    derived = Pairs.from_half_diff(known.theta_h, known.theta_d, known.phi_d)
+    for name in ("cos_h", "cos_d"):
+        torch.testing.assert_close(getattr(known, name), getattr(derived, name), atol=1e-6, rtol=0)
+    # phi_d is folded by reciprocity, which exchanges the directions
+    cosines = [torch.stack([one.cos_i, one.cos_o]).sort(0).values for one in (known, derived)]
+    torch.testing.assert_close(*cosines, atol=1e-5, rtol=0)
+    torch.testing.assert_close(known.tan2_h, derived.tan2_h, atol=1e-6, rtol=1e-3)
 
 
 def test_few_pairs_serve_many_pixels(small: Scene) -> None:

@@ -205,6 +205,8 @@ def fit_command(options: argparse.Namespace) -> int:
     )
     groups, complete = _load(options.files)
     records = batches.run(groups, bars("fits", sum(map(len, groups))))
+    if batches.loss.scene:
+        print(f"pictures of {batches.loss.scene}")
     print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
     for record in records:
         rest = [f"{key} {_short(value)}" for key, value in record["parameters"].items()]

@@ -144,7 +144,10 @@ class Scene:
 
     @property
     def pairs(self) -> Pairs:
-        """The compact pairs, `(1, N)`: those of all pixels, with those that are nearly equal taken for one."""
+        """The compact pairs, `(1, N)`: those of all pixels, with those that are nearly equal taken for one.
+
+        BRDFs are taken for reciprocal, as MERL's tables are: pairs that only exchange light and viewer are one, too.
+        """
         return self._whole[0]
 
     @property
