@@ -53,11 +53,12 @@ def brute_force(materials: Sequence[Callable[[Pairs], Tensor]], scene: Scene) ->
     return pictures.unflatten(1, (scene.size, scene.size))
 
 
-def test_furnace() -> None:
+@pytest.mark.parametrize(("lights", "tolerance"), [(1024, 2e-3), (4096, 5e-4)])
+def test_furnace(lights: int, tolerance: float) -> None:
     """A white Lambert object under constant light is everywhere as bright as the light."""
-    scene = Scene(blob(), View(), constant(3.0), size=40)
+    scene = Scene(blob(), View(), constant(3.0), size=40, lights=lights)
     picture = render(Lambert(albedo=1.0), scene)[0]
-    np.testing.assert_allclose(picture[scene.mask].numpy(), 3, rtol=2e-3)
+    np.testing.assert_allclose(picture[scene.mask].numpy(), 3, rtol=tolerance)
     assert not picture[~scene.mask].any()
     assert picture[scene.mask].mean().item() == pytest.approx(3, rel=5e-4)
 
