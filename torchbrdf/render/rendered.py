@@ -49,8 +49,7 @@ class RenderedLoss(ObservedLoss):
             raise UsageError(f"RenderedLoss: {name} needs pictures of {least} pixels a side, found {scene.size}")
         self.pairs, self.transport, self.mask = scene.pairs, scene.transport, scene.mask
         self.scene = scene.summary
-        # Rounded over widths in units of the difference from black.
-        self.rounding = (0.1, 0.01, 0.001) if self.curved and self._pixelwise.power == 1 else (None,)  # type: ignore[misc]
+        self._round()
 
     @property
     def registered_name(self) -> str:
@@ -147,8 +146,12 @@ class RenderedLoss(ObservedLoss):
         made = copy.copy(self)
         for name, value in changes.items():
             object.__setattr__(made, name, value)
-        made.rounding = (0.1, 0.01, 0.001) if made._pixelwise.power == 1 else (None,)  # type: ignore[misc]
+        made._round()
         return made
+
+    def _round(self) -> None:
+        """Mean lengths have a cusp, rounded over widths in units of the difference from black."""
+        self.rounding = (0.1, 0.01, 0.001) if self.curved and self._pixelwise.power == 1 else (None,)  # type: ignore[misc]
 
     def _shown(self, pixels: Tensor, reference: Tensor) -> Tensor:
         """What is compared: linear radiance, or display values."""

@@ -43,6 +43,10 @@ class Block:
         ]
         return torch.stack(found)
 
+    def channel(self, k: int) -> "Block":
+        """The entries with the values of one channel only."""
+        return Block(self.rows, self.start, self.column, self.value[k : k + 1])
+
     def to(self, device: torch.device | str) -> "Block":
         """On another device."""
         return Block(*(part.to(device) for part in (self.rows, self.start, self.column, self.value)))
@@ -153,8 +157,7 @@ class Transport:
         if self._turned is not None:
             for block in self._turned:
                 for channel in range(3):
-                    one = Block(block.rows, block.start, block.column, block.value[channel : channel + 1])
-                    found[channel] += one.times(gradient[..., channel].T.contiguous())[0]
+                    found[channel] += block.channel(channel).times(gradient[..., channel].T.contiguous())[0]
         else:
             for block in self.blocks:
                 row = block.rows.repeat_interleave((block.start[1:] - block.start[:-1]).long())
@@ -173,8 +176,9 @@ class _Product(torch.autograd.Function):
         found = values.new_zeros(3, len(transport.index), len(values))
         for block in transport.blocks:
             for channel in range(3):
-                one = Block(block.rows, block.start, block.column, block.value[channel : channel + 1])
-                found[channel].index_add_(0, block.rows, one.times(values[..., channel].T.contiguous())[0])
+                found[channel].index_add_(
+                    0, block.rows, block.channel(channel).times(values[..., channel].T.contiguous())[0]
+                )
         return found.permute(2, 1, 0)
 
     @staticmethod
