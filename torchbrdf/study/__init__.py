@@ -1,0 +1,23 @@
+"""Ask people: paired comparisons with a reference, their answers, and what they say.
+
+Nothing here needs torch, so that a server of a study starts at once; scales from answers are in
+`torchbrdf.study.scaling`.
+"""
+
+from torchbrdf.study.answers import Answer, read_answers, simulated, write_answers
+from torchbrdf.study.design import Trial, trials
+from torchbrdf.study.plan import MEASURED, Experiment, Material, Plan, Stimulus
+
+__all__ = [
+    "MEASURED",
+    "Answer",
+    "Experiment",
+    "Material",
+    "Plan",
+    "Stimulus",
+    "Trial",
+    "read_answers",
+    "simulated",
+    "trials",
+    "write_answers",
+]
