@@ -1,0 +1,51 @@
+"""The command line: `torchbrdf run | fit | render | view | info`. A command is a file here: `add` and `command`."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from torchbrdf import __version__
+from torchbrdf.cli import fit, info, render, run, view
+from torchbrdf.cli.common import described
+from torchbrdf.errors import TorchbrdfError, UsageError
+
+DESCRIPTION = """\
+Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
+
+  torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
+  torchbrdf fit nickel.binary --model ward      one fit, printed
+  torchbrdf render nickel.binary                a picture of a measured material, or of fits
+  torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
+  torchbrdf info nickel.binary                  what a file holds
+"""
+
+COMMANDS = (run, fit, render, view, info)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
+    # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
+    os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+    options = build_parser().parse_args(arguments)
+    try:
+        return int(options.command(options))
+    except UsageError as error:
+        print(f"torchbrdf: {error}", file=sys.stderr)
+        return 2
+    except (TorchbrdfError, OSError) as error:
+        print(f"torchbrdf: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("torchbrdf: stopped", file=sys.stderr)
+        return 1
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    parser = described(argparse.ArgumentParser(prog="torchbrdf"), DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"torchbrdf {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add(commands)
+    return parser

@@ -1,0 +1,55 @@
+"""What the commands share."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from torchbrdf.errors import DataError
+
+if TYPE_CHECKING:
+    from torchbrdf.measured import Measured
+
+Options = argparse.Namespace
+Commands = Any
+"""What argparse adds commands to; its type has no public name."""
+
+
+def bars(label: str, total: int) -> Callable[[int], None]:
+    """A progress bar on a terminal; nothing where there is none, or nothing to do."""
+    from tqdm import tqdm
+
+    bar = tqdm(total=total, desc=label, unit="", disable=None if total else True, leave=True)
+
+    def advance(done: int) -> None:
+        bar.update(done)
+        if bar.n >= total:
+            bar.close()
+
+    return advance
+
+
+def load_files(files: Sequence[str]) -> tuple[list["Measured"], bool]:
+    """What could be loaded, and whether that is all; the rest is said."""
+    from torchbrdf.measured import load_all
+
+    bad: list[DataError] = []
+    groups = load_all(files, bad=bad)
+    for error in bad:
+        print(f"torchbrdf: left out: {error}", file=sys.stderr)
+    return groups, not bad
+
+
+def short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        shown = [short(item) for item in value[:6]]
+        return "(" + ", ".join(shown) + (", ..." if len(value) > 6 else "") + ")"
+    return str(value)
+
+
+def described(parser: argparse.ArgumentParser, description: str) -> argparse.ArgumentParser:
+    parser.description = description
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    return parser

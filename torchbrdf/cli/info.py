@@ -1,0 +1,55 @@
+"""`torchbrdf info`."""
+
+import sys
+
+from torchbrdf.cli.common import Commands, Options, described, short
+from torchbrdf.errors import TorchbrdfError, UsageError
+
+DESCRIPTION = """\
+Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
+
+  torchbrdf info nickel.binary
+  torchbrdf info --system
+"""
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    parser = described(commands.add_parser("info", help="say what a file holds"), DESCRIPTION)
+    parser.add_argument("files", nargs="*", help="measured BRDFs")
+    parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
+    parser.set_defaults(command=command)
+
+
+def command(options: Options) -> int:
+    """`torchbrdf info`."""
+    from torchbrdf.measured import describe
+
+    if not options.files and not options.system:
+        raise UsageError("info: expected files, or --system")
+    if options.system:
+        from torchbrdf.render.system import system_facts  # late, because most of the package comes with it
+
+        _print_facts(system_facts(), "")
+    failed = 0
+    for k, name in enumerate(options.files):
+        try:
+            facts = describe(name)
+        except TorchbrdfError as error:
+            print(f"torchbrdf: {error}", file=sys.stderr)
+            failed = 1
+            continue
+        if k or options.system:
+            print()
+        print(name)
+        _print_facts(facts, "  ")
+    return failed
+
+
+def _print_facts(facts: dict[str, object], indent: str) -> None:
+    for key, value in facts.items():
+        if isinstance(value, dict):
+            print(f"{indent}{key}")
+            _print_facts(value, indent + "  ")
+        else:
+            print(f"{indent}{key:42s} {short(value)}")

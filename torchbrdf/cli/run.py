@@ -1,0 +1,51 @@
+"""`torchbrdf run`."""
+
+from pathlib import Path
+
+from torchbrdf.cli.common import Commands, Options, bars, described
+from torchbrdf.errors import UsageError
+
+DESCRIPTION = """\
+Run a recipe: a short Python file that says what to do and which settings it has.
+
+  torchbrdf run fores2012
+  torchbrdf run fores2012 quick=true
+  torchbrdf run fores2012 materials=MERL/ environment=rnl_probe.hdr models=ward,cook_torrance
+  torchbrdf run my_recipe.py --out results
+
+Run it again with the same settings and folder, and it takes up what is finished.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    parser = described(commands.add_parser("run", help="run a recipe, such as fores2012"), DESCRIPTION)
+    parser.add_argument("recipe", help="a recipe's name, or a Python file that holds one; `list` shows them")
+    parser.add_argument(
+        "settings", nargs="*", metavar="key=value", help="settings; `torchbrdf run NAME help=` shows them"
+    )
+    parser.add_argument("--out", help="folder of the run (default: runs/NAME)")
+    parser.set_defaults(command=command)
+
+
+def command(options: Options) -> int:
+    """`torchbrdf run`."""
+    from torchbrdf.recipe import RECIPES, configure, describe, find_recipe, run
+
+    if options.recipe == "list":
+        for name, kind in RECIPES.items():
+            print(f"{name:20s} {(kind.__doc__ or '').splitlines()[0]}")
+        return 0
+    kind = find_recipe(options.recipe)
+    settings = {}
+    for text in options.settings:
+        key, separator, value = text.partition("=")
+        if not separator:
+            raise UsageError(f"{kind.name}: expected key=value, found {text!r}")
+        settings[key] = value
+    if "help" in settings:
+        print(describe(kind))
+        return 0
+    recipe = configure(kind, settings)
+    print(run(recipe, options.out or Path("runs") / kind.name, bars))
+    return 0

@@ -1,0 +1,61 @@
+"""`torchbrdf view`."""
+
+from pathlib import Path
+
+from torchbrdf.cli.common import Commands, Options, bars, described, load_files
+
+DESCRIPTION = """\
+Draw measured BRDFs and fits from all around, and write one page to look at them: turn the object, wipe between a
+material and its fit, see their difference. The page needs no network, and nothing beside it.
+
+  torchbrdf view nickel.binary fits/fits.json
+  torchbrdf view MERL/ --environment grove rnl_probe.hdr --steps 24 --out nickel.html --open
+"""
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    parser = described(commands.add_parser("view", help="write a page to compare measured BRDFs and fits"), DESCRIPTION)
+    parser.add_argument("files", nargs="+", help="measured BRDFs, fits.json, or folders of them")
+    parser.add_argument(
+        "--environment", nargs="+", default=["grove"], help="grove (default), studio, or .exr or .hdr light probes"
+    )
+    parser.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
+    parser.add_argument("--size", type=int, default=320, help="pixels of a side (default 320)")
+    parser.add_argument("--steps", type=int, default=12, help="sides that it is seen from, all around (default 12)")
+    parser.add_argument("--out", default="view.html", help="the page (default: view.html)")
+    parser.add_argument("--open", action="store_true", help="open it in the browser")
+    parser.set_defaults(command=command)
+
+
+def command(options: Options) -> int:
+    """`torchbrdf view`."""
+    from torchbrdf.files import writable
+    from torchbrdf.render import Environment, find_mesh
+    from torchbrdf.report.view import distinct, write_view
+
+    out = Path(options.out)
+    writable(out.parent)
+    mesh = find_mesh(options.shape)
+    lights = [Environment.find(name) for name in options.environment]
+    names = distinct([Path(name).stem for name in options.environment])
+    groups, complete = load_files(options.files)
+    if not groups:
+        return 1
+    write_view(
+        out,
+        groups,
+        dict(zip(names, lights, strict=True)),
+        mesh,
+        size=options.size,
+        steps=options.steps,
+        advance=bars("sides", len(lights) * max(options.steps, 0)),
+    )
+    pictures = sum(map(len, groups)) * len(lights) * options.steps
+    print(f"{pictures} pictures, {out.stat().st_size / 1e6:.1f} MB")
+    print(out)
+    if options.open:
+        import webbrowser
+
+        webbrowser.open(out.resolve().as_uri())
+    return 0 if complete else 1
