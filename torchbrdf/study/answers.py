@@ -56,6 +56,9 @@ class Answer:
     kind: Kind = "trial"
 
     def __post_init__(self) -> None:
+        for name in (self.observer, self.experiment, self.material, self.left, self.right, self.time_stamp):
+            if not name.isprintable():
+                raise DataError(f"answer: expected names of one line, found {name!r}")
         if self.left == self.right:
             raise DataError(f"answer: expected two stimuli, found {self.left!r} twice")
         if self.chosen not in (self.left, self.right):

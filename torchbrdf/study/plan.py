@@ -111,12 +111,18 @@ class Plan:
         for key in self.texts:
             if key not in TEXTS:
                 raise unknown("text of a study", key, TEXTS)
-        for kind, names in (
-            ("material", [material.name for material in self.materials]),
-            ("experiment", [experiment.name for experiment in self.experiments]),
-        ):
+        materials = [material.name for material in self.materials]
+        experiments = [experiment.name for experiment in self.experiments]
+        for kind, names in (("material", materials), ("experiment", experiments)):
             if not names or len(set(names)) != len(names):
                 raise UsageError(f"study: expected {kind}s, each once, found {', '.join(names) or 'none'}")
+        for name in (
+            *materials,
+            *experiments,
+            *(stimulus for material in self.materials for stimulus in material.stimuli),
+        ):
+            if not name.isprintable():  # answers have a line each
+                raise UsageError(f"study: expected names of one line, found {name!r}")
         for experiment in self.experiments:
             self._check(experiment)
 

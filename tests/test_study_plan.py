@@ -1,0 +1,320 @@
+"""Plans, trials and answers: what is asked, in which order, and how answers are kept."""
+
+import math
+from collections import Counter
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.study import (
+    MEASURED,
+    Answer,
+    Experiment,
+    Material,
+    Plan,
+    Stimulus,
+    read_answers,
+    simulated,
+    trials,
+    write_answers,
+)
+from torchbrdf.study.design import mirrored
+
+NINE = tuple(f"{model}-{loss}" for model in ("ward", "cook", "ash") for loss in ("rms", "cosine", "cuberoot"))
+
+
+def made(stimuli=NINE, materials=10, seed=0, **more):
+    """A plan of one experiment."""
+    shown = tuple(
+        Material(
+            f"m{k}",
+            f"m{k}-turned.png",
+            {name: Stimulus(f"m{k}-{name}.png", difference=float(d)) for d, name in enumerate(stimuli)},
+        )
+        for k in range(materials)
+    )
+    return Plan(shown, (Experiment("1", "all", tuple(stimuli), **more),), seed=seed)
+
+
+def asked(plan, index):
+    return trials(plan, plan.experiments[0], index)
+
+
+def pair_of(trial):
+    return trial.material, frozenset((trial.left, trial.right))
+
+
+def test_the_papers_experiments_have_360_and_60_trials():
+    first, second = made(), made(("ward", "cook", "ash", MEASURED))
+    assert len(asked(first, 0)) == 360 and len(asked(second, 3)) == 60
+    pairs = {(f"m{k}", frozenset(pair)) for k in range(10) for pair in combinations(NINE, 2)}
+    assert {pair_of(trial) for trial in asked(first, 0)} == pairs
+
+
+@given(st.integers(2, 9), st.integers(0, 40), st.integers(0, 5))
+def test_every_stimulus_stands_on_either_side_as_often(count, index, seed):
+    plan = made(NINE[:count], 2, seed)
+    shown = asked(plan, index)
+    for material in ("m0", "m1"):
+        left = Counter(trial.left for trial in shown if trial.material == material)
+        right = Counter(trial.right for trial in shown if trial.material == material)
+        assert all(abs(left[name] - right[name]) <= 1 for name in NINE[:count])
+
+
+def test_two_observers_see_each_pair_on_either_side_and_in_their_own_order():
+    plan = made(materials=3)
+    first, second = asked(plan, 4), asked(plan, 5)
+    assert {(t.material, t.left, t.right) for t in first} == {(t.material, t.right, t.left) for t in second}
+    assert [pair_of(t) for t in first] != [pair_of(t) for t in second]
+
+
+def test_the_same_seed_asks_the_same_and_another_asks_otherwise():
+    assert asked(made(), 7) == asked(made(), 7)
+    assert asked(made(), 7) != asked(made(seed=1), 7)
+    assert asked(made(), 7) != asked(made(), 8)
+
+
+@given(st.integers(5, 12), st.data())
+def test_with_many_stimuli_each_meets_a_few_and_all_are_joined(count, data):
+    names = tuple(f"s{k}" for k in range(count))
+    compare = data.draw(st.integers(2, count - 1))
+    shown = asked(made(names, 1, compare=compare), data.draw(st.integers(0, 20)))
+    pairs = [pair_of(trial)[1] for trial in shown]
+    assert len(set(pairs)) == len(pairs)
+    meets = Counter(name for pair in pairs for name in pair)
+    assert set(meets.values()) <= {compare, compare + 1}
+    assert sum(meets.values()) == compare * count + (compare * count) % 2
+    joined, todo = {names[0]}, [names[0]]
+    while todo:
+        here = todo.pop()
+        new = {name for pair in pairs if here in pair for name in pair} - joined
+        joined |= new
+        todo += new
+    assert joined == set(names)
+
+
+def test_couples_of_observers_meet_other_pairs():
+    plan = made(materials=1, compare=2)
+    chosen = [{pair_of(trial) for trial in asked(plan, k)} for k in range(40)]
+    assert chosen[0] == chosen[1] and chosen[0] != chosen[2]
+    assert len(set.union(*chosen)) == 36
+
+
+def test_repeats_come_later_with_sides_changed_and_do_not_count():
+    shown = asked(made(materials=4, repeats=30), 2)
+    assert Counter(trial.kind for trial in shown) == {"trial": 144, "repeat": 30}
+    for k, trial in enumerate(shown):
+        if trial.kind == "repeat":
+            first = next(
+                j for j, other in enumerate(shown) if other.kind == "trial" and pair_of(other) == pair_of(trial)
+            )
+            assert first < k and shown[first].left == trial.right
+    late = [k for k, trial in enumerate(shown) if trial.kind == "repeat"]
+    assert min(late) > 30
+
+
+def test_catch_trials_have_a_known_answer():
+    shown = asked(made((*NINE[:3], MEASURED), 3, catch=5), 1)
+    caught = [trial for trial in shown if trial.kind == "catch"]
+    assert len(caught) == 5 and len(shown) == 23
+    assert all({trial.left, trial.right} == {MEASURED, NINE[2]} for trial in caught)
+    with pytest.raises(UsageError, match="catch trials: expected measured among the stimuli of m0"):
+        made(catch=1)
+
+
+def test_chosen_pairs_only():
+    plan = made(pairs=((NINE[0], NINE[2]), (NINE[3], NINE[5])))
+    assert len(asked(plan, 0)) == 20
+    assert {pair_of(trial)[1] for trial in asked(plan, 0)} == {frozenset(NINE[:3:2]), frozenset(NINE[3:6:2])}
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"pairs": (("ward-rms", "ward-log"),)}, "pairs: expected two of its stimuli, found ward-rms and ward-log"),
+        ({"pairs": (("ward-rms", "ward-rms"),)}, "pairs: expected two of its stimuli"),
+        ({"compare": 9}, "compare: expected 2 to 8 of 9 stimuli, found 9"),
+        ({"compare": 2, "pairs": (("ward-rms", "cook-rms"),)}, "expected pairs or compare, found both"),
+        ({"repeats": -1}, "repeats: expected 0 or more"),
+        ({"stimuli": ("ward-rms",)}, "stimuli: expected two or more"),
+    ],
+)
+def test_experiments_that_cannot_be_are_refused(more, said):
+    with pytest.raises(UsageError, match=said):
+        made(**more)
+
+
+def test_plans_that_cannot_be_are_refused():
+    plan = made(materials=2)
+    with pytest.raises(UsageError, match="expected materials, each once"):
+        Plan((plan.materials[0],) * 2, plan.experiments)
+    with pytest.raises(UsageError, match="expected names of one line"):
+        Plan((Material("a\nb", "r.png", plan.materials[0].stimuli),), plan.experiments)
+    with pytest.raises(UsageError, match="unknown text of a study 'welcome'"):
+        Plan(plan.materials, plan.experiments, texts={"welcome": "hello"})
+    with pytest.raises(UsageError, match="unknown stimulus of m0 'ward-log'"):
+        Plan(plan.materials, (Experiment("1", "x", ("ward-log", "ward-rms")),))
+    with pytest.raises(UsageError, match="unknown experiment '3'"):
+        plan.experiment("3")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for material in made(materials=2).materials:
+        for picture in (material.reference, *(stimulus.picture for stimulus in material.stimuli.values())):
+            (tmp_path / picture).write_bytes(b"png")
+    return tmp_path
+
+
+def test_a_plan_is_read_as_it_was_written(folder):
+    plan = made(materials=2, pairs=((NINE[0], NINE[1]),), repeats=2)
+    plan = Plan(plan.materials, plan.experiments, 5, {"thanks": "Bye"}, {"colour_vision": ("normal",)})
+    assert plan.save(folder) == folder / "study.json"
+    assert Plan.load(folder) == plan
+    assert plan.text("thanks") == "Bye" and plan.text("pause").startswith("Paused")
+
+
+def test_a_plan_shows_only_pictures_of_its_folder(folder):
+    plan = made(materials=2)
+    plan.save(folder)
+    (folder / "m0-turned.png").unlink()
+    with pytest.raises(DataError, match=r"m0-turned\.png: no such picture"):
+        Plan.load(folder)
+    (folder / "m0-turned.png").symlink_to("/etc/hostname")
+    with pytest.raises(DataError, match="expected pictures in"):
+        Plan.load(folder)
+    text = (folder / "study.json").read_text().replace("m0-turned.png", "../../etc/hostname")
+    (folder / "study.json").write_text(text)
+    with pytest.raises(DataError, match="expected pictures in"):
+        Plan.load(folder)
+
+
+@given(text=st.one_of(st.text(), st.sampled_from(["[]", "{}", '{"materials": 3}', "null", '{"materials": [{}]}'])))
+def test_no_text_makes_a_plan_fail_in_another_way(text, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    (folder / "study.json").write_text(text, encoding="utf-8", errors="replace")
+    with pytest.raises(DataError, match=r"study\.json"):
+        Plan.load(folder)
+
+
+def test_a_folder_without_a_plan_says_what_to_do(tmp_path):
+    with pytest.raises(DataError, match="run a recipe such as fores2012 first"):
+        Plan.load(tmp_path)
+
+
+# --- answers ----------------------------------------------------------------------------------------------------------
+
+NAMES = st.text(min_size=1, max_size=8).map(str.strip).filter(lambda s: s and s.isprintable())
+
+
+@st.composite
+def answer(draw):
+    left, right = draw(
+        st.lists(NAMES.filter(lambda s: s not in ("1", "2", "left", "right")), min_size=2, max_size=2, unique=True)
+    )
+    return Answer(
+        draw(NAMES),
+        draw(NAMES),
+        draw(NAMES),
+        left,
+        right,
+        draw(st.sampled_from([left, right])),
+        round(draw(st.floats(0, 1000)), 3),
+        "2026-11-25T10:00:00.000Z",
+        draw(st.integers(0, 10**9)),
+        draw(st.sampled_from(["trial", "repeat", "catch"])),
+    )
+
+
+@given(st.lists(answer(), min_size=1, max_size=5))
+def test_answers_are_read_as_they_were_written(tmp_path_factory, answers):
+    path = tmp_path_factory.mktemp("answers") / "answers.csv"
+    write_answers(path, answers)
+    assert read_answers(path) == answers
+
+
+def test_the_columns_are_those_of_pwcmp(tmp_path):
+    path = tmp_path / "answers.csv"
+    write_answers(path, [Answer("o1", "1", "nickel", "a", "b", "b", 1.5, "2026-11-25T10:00:00.000Z", 3)])
+    head, row = path.read_text().splitlines()
+    assert head.split(",")[:6] == ["observer", "session", "scene", "condition_1", "condition_2", "selection"]
+    assert row == "o1,1,nickel,a,b,2,1.500,2026-11-25T10:00:00.000Z,3,trial"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Observer,Session,Scene,Condition_1,Condition_2,Selection\no1,1,nickel,a,b,2\n",
+        "observer;material;left;right;chosen\no1;nickel;a;b;b\n",
+        "\ufeffsubject\tcontent\tA\tB\tchoice\r\no1\tnickel\ta\tb\tright\r\n\r\n",
+        'chosen,left,right,material,observer\nb,"a",b,nickel,o1\n',
+    ],
+)
+def test_other_peoples_columns_are_understood(tmp_path, text):
+    path = tmp_path / "answers.csv"
+    path.write_text(text, encoding="utf-8", newline="")
+    (found,) = read_answers(path)
+    assert (found.observer, found.material, found.left, found.right, found.chosen) == ("o1", "nickel", "a", "b", "b")
+    assert math.isnan(found.response_time) and found.kind == "trial"
+
+
+HEAD = "observer,material,left,right,chosen,response_time,seed,kind\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "found an empty file"),
+        (HEAD, "expected answers, found none"),
+        ("observer,left,right\no,a,b\n", "expected a column selection or chosen"),
+        ("observer,left,a,right,chosen\n", "expected one column for condition_1, found left, a"),
+        (HEAD + "o,m,a,b,c,,,\n", "line 2: selection: expected 1, 2, left, right, a or b, found 'c'"),
+        (HEAD + "o,m,a,b,a,,,\no,m,a,b\n", "line 3: expected 8 columns, found 4"),
+        (HEAD + ",m,a,b,a,,,\n", "observer: expected a name"),
+        (HEAD + "o,m,a,a,a,,,\n", "expected two stimuli, found 'a' twice"),
+        (HEAD + "o,m,a,b,a,soon,,\n", "response_time: expected seconds, found 'soon'"),
+        (HEAD + "o,m,a,b,a,,seven,\n", "seed: expected a whole number, found 'seven'"),
+        (HEAD + "o,m,a,b,a,,,practice\n", "kind: expected one of trial, repeat, catch"),
+        (HEAD + 'o,m,"a,b,a,,,\n', "expected CSV"),
+        (HEAD + 'o,m,"a\n",b,a,,,\no,m,"a\nb",b,b,,,\n', "line 5: answer: expected names of one line, found 'a\\nb'"),
+    ],
+)
+def test_bad_files_say_where(tmp_path, text, said):
+    path = tmp_path / "answers.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=r"answers\.csv") as caught:
+        read_answers(path)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+@given(st.one_of(st.binary(max_size=200), st.text(max_size=200).map(lambda s: (HEAD + s).encode(errors="replace"))))
+def test_no_bytes_make_reading_fail_in_another_way(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("answers") / "answers.csv"
+    path.write_bytes(data)
+    try:
+        assert read_answers(path)
+    except DataError as error:
+        assert "answers.csv" in str(error)
+
+
+def test_a_file_that_is_not_there_is_a_clear_error(tmp_path):
+    with pytest.raises(DataError, match="cannot be read"):
+        read_answers(Path(tmp_path / "nowhere.csv"))
+
+
+def test_a_stimulus_may_be_called_2():
+    assert Answer("o", "", "", "2", "1", "2").rejected == "1"
+
+
+def test_simulated_observers_are_known_by_name():
+    person, robot = (Answer(name, "", "", "a", "b", "a") for name in ("observer-001", "simulated-001"))
+    assert simulated([person, robot]) and not simulated([person])
+
+
+def test_a_mirrored_trial_changes_sides_only():
+    (trial, *_) = asked(made(materials=1), 0)
+    assert mirrored(mirrored(trial)) == trial != mirrored(trial)
