@@ -1,13 +1,16 @@
 """The study of Fores, Ferwerda and Gu (2012): three models, three metrics, ten materials."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from torchbrdf.errors import UsageError
 from torchbrdf.losses import LOSSES
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.render import Environment, Scene, View, find_mesh
-from torchbrdf.report import STANDINS, Study, gather, write_report
+from torchbrdf.report import STANDINS, Study, ask_simulated, gather, write_report
+from torchbrdf.study.simulation import NOISE
 
 GROVE = "grove"
 
@@ -15,7 +18,10 @@ GROVE = "grove"
 @RECIPES.register("fores2012")
 @dataclass(frozen=True)
 class Fores2012(Recipe):
-    """Fit, score, draw and report. Its defaults are the paper's, on the bundled stand-ins and the bundled light."""
+    """Fit, score, draw, ask simulated observers and report.
+
+    Its defaults are the paper's, on the bundled stand-ins and the bundled light.
+    """
 
     name = "fores2012"
 
@@ -32,6 +38,12 @@ class Fores2012(Recipe):
     shape: str = field(default="blob", metadata={"help": "blob, sphere, or a mesh file"})
     size: int = field(default=400, metadata={"help": "pixels of a side"})
     turn: float = field(default=15.0, metadata={"help": "degrees between the reference's view and the fits'"})
+    observers: tuple[int, ...] = field(default=(15, 20), metadata={"help": "simulated, of experiments 1 and 2"})
+    noise: float = field(default=NOISE, metadata={"help": "of what simulated observers see, in Delta E"})
+
+    # What people who are asked are told, where it is not `torchbrdf.study.plan.TEXTS`, and who may take part.
+    texts: ClassVar[Mapping[str, str]] = {}
+    screening: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     def __post_init__(self) -> None:
         for key in ("models", "losses"):
@@ -39,11 +51,15 @@ class Fores2012(Recipe):
                 raise UsageError(f"fores2012: {key}: expected at least one name, found none")
         if self.lobes < 1:
             raise UsageError(f"fores2012: lobes: expected at least 1, found {self.lobes}")
+        if len(self.observers) != 2 or min(self.observers) < 2:
+            raise UsageError(f"fores2012: observers: expected two numbers, at least 2 each, found {self.observers}")
+        if not self.noise > 0:
+            raise UsageError(f"fores2012: noise: expected a number above 0, found {self.noise}")
         if not 16 <= self.size <= 4096:
             raise UsageError(f"fores2012: size: expected 16 to 4096 pixels, found {self.size}")
 
     def steps(self, folder: RunFolder) -> Path:
-        """Fits, pictures, report."""
+        """Fits, pictures, observers, report."""
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, View(turn), environment, size=size) for turn in (0.0, self.turn))
@@ -64,7 +80,8 @@ class Fores2012(Recipe):
         )
         study.fit()
         study.draw(scene, turned)
+        asked = ask_simulated(study, (self.observers[0], self.observers[1]), self.noise, self.texts, self.screening)
         light = "Light: " + (
             "the project's own grove." if self.environment == GROVE else Path(self.environment).name + "."
         )
-        return write_report(study, "Which error metric looks right?", light, self.turn, bad)
+        return write_report(study, "Which error metric looks right?", light, self.turn, bad, asked)

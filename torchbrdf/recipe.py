@@ -127,7 +127,7 @@ def describe(kind: type[Recipe]) -> str:
     """The settings of a recipe with their defaults, a line each."""
     lines = [f"{kind.name}: {(kind.__doc__ or '').splitlines()[0]}"]
     for field in dataclasses.fields(kind):
-        default = ",".join(field.default) if isinstance(field.default, tuple) else str(field.default)
+        default = ",".join(map(str, field.default)) if isinstance(field.default, tuple) else str(field.default)
         lines.append(f"  {f'{field.name}={default}':40s} {field.metadata.get('help', '')}".rstrip())
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""The command line: `torchbrdf run | fit | render | view | info`. A command is a file here: `add` and `command`."""
+"""The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
 import argparse
 import os
@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from torchbrdf import __version__
-from torchbrdf.cli import fit, info, render, run, view
+from torchbrdf.cli import fit, info, render, run, study, view
 from torchbrdf.cli.common import described
 from torchbrdf.errors import TorchbrdfError, UsageError
 
@@ -18,9 +18,10 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
   torchbrdf info nickel.binary                  what a file holds
+  torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
 """
 
-COMMANDS = (run, fit, render, view, info)
+COMMANDS = (run, fit, render, view, info, study)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

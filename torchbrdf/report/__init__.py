@@ -1,8 +1,9 @@
 """What a study finds, in tables, figures and a page."""
 
+from torchbrdf.report.asked import ask_simulated, plan_of
 from torchbrdf.report.gallery import Gallery
 from torchbrdf.report.images_page import write_images_report
 from torchbrdf.report.page import write_report
 from torchbrdf.report.study import STANDINS, Study, gather
 
-__all__ = ["STANDINS", "Gallery", "Study", "gather", "write_images_report", "write_report"]
+__all__ = ["STANDINS", "Gallery", "Study", "ask_simulated", "gather", "plan_of", "write_images_report", "write_report"]

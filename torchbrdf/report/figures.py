@@ -5,31 +5,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import matplotlib.image
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from torchbrdf.files import replacing
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
+from torchbrdf.report.drawing import COLORS, drawing, marked
 from torchbrdf.report.labels import loss_label
 from torchbrdf.report.study import Study
 
-STAND_IN = "stand-in materials, not measurements"
-COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-}
 
 
 def gloss_figure(
@@ -37,8 +26,7 @@ def gloss_figure(
 ) -> None:
     """Figure 1: distinctness of image and contrast gloss, materials sorted by the first."""
     order = np.argsort(doi)
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(9, 0.28 * len(names) + 1.6), layout="constrained")
+    with drawing(path, 9, 0.28 * len(names) + 1.6, marked(stand_in)) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         rows = np.arange(len(names))
         left.barh(rows, np.asarray(doi)[order], color="#4c72b0")
@@ -49,17 +37,12 @@ def gloss_figure(
         left.invert_yaxis()
         right.barh(rows, np.asarray(contrast)[order], color="#dd8452")
         right.set_xlabel("contrast gloss: log10 of luminance\nat 30:30 over 45:0")
-        _mark(figure, stand_in)
-        _save(figure, path)
 
 
 def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequence[Path]], stand_in: bool) -> None:
     """Figure 3: a row of pictures for the reference and for each metric, a column for each material."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(
-            figsize=(1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5),
-            layout=ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0, hspace=0),
-        )
+    layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0, hspace=0)
+    with drawing(path, 1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5, marked(stand_in), layout) as figure:
         panels = np.atleast_2d(figure.subplots(len(rows), len(materials), squeeze=False))
         for line, (label, pictures) in zip(panels, rows.items(), strict=True):
             for panel, picture in zip(line, pictures, strict=True):
@@ -68,8 +51,6 @@ def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequenc
             line[0].set_ylabel(label)
         for panel, name in zip(panels[0], materials, strict=True):
             panel.set_title(name, fontsize=8)
-        _mark(figure, stand_in)
-        _save(figure, path)
 
 
 def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]]) -> None:
@@ -80,8 +61,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]
     """
     material = group.batch([group.names.index(records[0]["material"])])
     model = model_of(list(records))
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(11, 2.6), layout="constrained")
+    with drawing(path, 11, 2.6, marked(group.stand_in)) as figure:
         panels = figure.subplots(1, len(INCIDENT) + 1)
         for panel, incident in zip(panels, INCIDENT, strict=False):
             off = np.concatenate([-np.geomspace(150, 0.02, 150), np.geomspace(0.02, 80, 100)])
@@ -95,8 +75,6 @@ def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]
         panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror direction", xscale="log")
         panels[0].set_ylabel("cube root of f (green)")
         panels[-1].legend(fontsize=7, frameon=False)
-        _mark(figure, group.stand_in)
-        _save(figure, path)
 
 
 def quality_figure(
@@ -105,8 +83,7 @@ def quality_figure(
 ) -> None:  # fmt: skip
     """An image difference of every fit, one panel a model, materials by rising DoI; outliers in a black rectangle."""
     kind = DIFFERENCES[difference]
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(4.2 * len(models), 3.6), layout="constrained")
+    with drawing(path, 4.2 * len(models), 3.6, marked(stand_in)) as figure:
         panels = np.atleast_1d(figure.subplots(1, len(models), sharey=True))
         for panel, model in zip(panels, models, strict=True):
             for loss in losses:
@@ -121,15 +98,12 @@ def quality_figure(
         better = "higher" if kind.higher_is_better else "lower"
         panels[0].set_ylabel(f"{kind.__name__}{' in ' + kind.unit if kind.unit else ''} ({better} is better)")
         panels[-1].legend(frameon=False)
-        _mark(figure, stand_in)
-        _save(figure, path)
 
 
 def beside_figure(path: Path, study: Study, ratio: np.ndarray, gain: np.ndarray) -> None:
     """How many fits of each model either strategy leaves stuck, and what lower errors do for the pictures."""
     ours = study.drawn(study.strategy)
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(10, 3.6), layout="constrained")
+    with drawing(path, 10, 3.6, marked(study.stand_in)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
         height = 0.38
         for k, strategy in enumerate(reversed(study.strategies)):
@@ -156,16 +130,13 @@ def beside_figure(path: Path, study: Study, ratio: np.ndarray, gain: np.ndarray)
         right.xaxis.set_major_formatter("{x:g}")
         right.tick_params(axis="x", which="minor", labelsize=7)
         right.legend(frameon=False)
-        _mark(figure, any(group.stand_in for group in study.groups))
-        _save(figure, path)
 
 
 def bars_figure(
     path: Path, means: Mapping[str, Mapping[str, Sequence[float]]], rendered: Sequence[str], stand_in: bool
 ) -> None:
     """Colour differences of the fits under each loss, a panel a scene; `means[scene][loss]`, one number a fit."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(5.2 * len(means), 0.32 * len(next(iter(means.values()))) + 1.2), layout="constrained")
+    with drawing(path, 5.2 * len(means), 0.32 * len(next(iter(means.values()))) + 1.2, marked(stand_in)) as figure:
         panels = np.atleast_1d(figure.subplots(1, len(means), sharey=True))
         for panel, (scene, losses) in zip(panels, means.items(), strict=True):
             for row, (loss, values) in enumerate(losses.items()):
@@ -176,8 +147,6 @@ def bars_figure(
             panel.set_yticks(range(len(losses)), [loss_label(loss) for loss in losses])
             panel.set(xlabel="mean Delta E of the fits to their references", title=f"{scene} scene")
         panels[0].invert_yaxis()
-        _mark(figure, stand_in)
-        _save(figure, path)
 
 
 def _curves(
@@ -200,13 +169,3 @@ def in_plane(incident: float, outgoing: np.ndarray) -> Pairs:
     wi = torch.tensor([-math.sin(light), 0.0, math.cos(light)], dtype=torch.float64).expand(1, len(outgoing), 3)
     wo = torch.stack([viewer.sin(), torch.zeros_like(viewer), viewer.cos()], -1)[None]
     return Pairs.from_directions(wi, wo)
-
-
-def _mark(figure: Figure, stand_in: bool) -> None:
-    if stand_in:
-        figure.suptitle(STAND_IN, fontsize=8, color="grey", x=0.99, ha="right")
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")

@@ -31,7 +31,7 @@ def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, 
     analytic = [name for name in study.losses if name not in rendered]
     figure = folder / "figures" / "losses.png"
     means = {scene: {x: _values(gallery.seen(scene), x) for x in study.losses} for scene in scenes}
-    stand_in = any(group.stand_in for group in study.groups)
+    stand_in = study.stand_in
     bars_figure(figure, means, rendered, stand_in)
     for scene in scenes:
         for model in study.models:

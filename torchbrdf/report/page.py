@@ -5,11 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.files import write_text
-from torchbrdf.measured import contrast_gloss, distinctness_of_image
 from torchbrdf.report import numbers
+from torchbrdf.report.asked import Asked
+from torchbrdf.report.drawing import marked
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
 from torchbrdf.report.inline import png, small, template
+from torchbrdf.report.judged import judge
 from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
+from torchbrdf.report.observers import observed, tables
 from torchbrdf.report.strategies import compared
 from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
 
@@ -17,22 +20,15 @@ from torchbrdf.report.study import DIFFERENCE, SHOWN_DIFFERENCES, Study, picture
 UNFOLDED = "alum-bronze"
 
 
-def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str]) -> Path:
-    """Draw the figures and write `report.html` for a study whose fits and pictures are done; gives its path."""
+def write_report(study: Study, title: str, light: str, turn: float, problems: Sequence[str], asked: Asked) -> Path:
+    """Draw the figures and write `report.html` for a study that is fitted, drawn and judged; gives its path."""
     folder = study.folder.path
-    gloss = {
-        name: figures
-        for group in study.groups
-        for name, *figures in zip(
-            group.names, distinctness_of_image(group).tolist(), contrast_gloss(group).tolist(), strict=True
-        )
-    }
-    order = sorted(gloss, key=lambda name: gloss[name][0])
-    stand_in = any(group.stand_in for group in study.groups)
+    order = list(study.gloss)
+    stand_in = study.stand_in
 
     figures = folder / "figures"
     beside = compared(study)
-    doi, contrast = zip(*(gloss[name] for name in order), strict=True)
+    doi, contrast = zip(*study.gloss.values(), strict=True)
     gloss_figure(figures / "gloss.png", order, doi, contrast, stand_in)
     quality_figure(figures / "delta_e.png", order, study.shown, study.models, study.losses, DIFFERENCE, stand_in)
     for model in study.models:
@@ -55,6 +51,7 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
             profile_figure(path, group, [study.record(name, model, loss) for loss in study.losses])
             rows[model].append(same | {"fits": _fits(study, name, model), "profile": png(path)})
             advance(1)
+    judged = judge(asked.answers, asked.plan, seed=study.seed)
     page = template("page.html").render(
         title=title,
         materials=order,
@@ -75,6 +72,7 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
             "figure": png(beside["figure"]),
             "pictures": beside["pictures"] and png(beside["pictures"]),
         },
+        observed=[observed(one, figures, marked(stand_in, asked.mark)) for one in judged],
         gloss=png(figures / "gloss.png"),
         quality=png(figures / "delta_e.png"),
         tables=[
@@ -83,6 +81,7 @@ def write_report(study: Study, title: str, light: str, turn: float, problems: Se
             _difference_table(study, order),
             _agreement_table(study),
             *_lobes_table(study),
+            *(table for one in judged for table in tables(one)),
         ],
         tone=study.tone,
         light=light,

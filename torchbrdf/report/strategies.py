@@ -105,5 +105,5 @@ def _pictures(study: Study, ours: Records, theirs: Records, ratio: np.ndarray, p
         str(study.beside): [study.png(study.picture(theirs[k])) for k in order],
         study.strategy: [study.png(study.picture(ours[k])) for k in order],
     }
-    grid_figure(path, titles, rows, any(group.stand_in for group in study.groups))
+    grid_figure(path, titles, rows, study.stand_in)
     return path

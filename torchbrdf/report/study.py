@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
 from torchbrdf.losses import Loss
-from torchbrdf.measured import Measured, load_all, standins
+from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image, load_all, standins
 from torchbrdf.recipe import RunFolder
 from torchbrdf.render import Scene, render
 
@@ -62,6 +63,23 @@ class Study:
     def materials(self) -> list[str]:
         """The names of all materials."""
         return [name for group in self.groups for name in group.names]
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether any material is no measurement."""
+        return any(group.stand_in for group in self.groups)
+
+    @cached_property
+    def gloss(self) -> dict[str, tuple[float, float]]:
+        """Distinctness of image, in degrees, and contrast gloss of each material, sharpest highlight first."""
+        found = {
+            name: (doi, contrast)
+            for group in self.groups
+            for name, doi, contrast in zip(
+                group.names, distinctness_of_image(group).tolist(), contrast_gloss(group).tolist(), strict=True
+            )
+        }
+        return dict(sorted(found.items(), key=lambda item: item[1][0]))
 
     @property
     def shown(self) -> list[dict[str, Any]]:

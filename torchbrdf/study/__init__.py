@@ -7,6 +7,7 @@ Nothing here needs torch, so that a server of a study starts at once; scales fro
 from torchbrdf.study.answers import Answer, read_answers, simulated, write_answers
 from torchbrdf.study.design import Trial, trials
 from torchbrdf.study.plan import MEASURED, Experiment, Material, Plan, Stimulus
+from torchbrdf.study.simulation import simulate
 
 __all__ = [
     "MEASURED",
@@ -17,6 +18,7 @@ __all__ = [
     "Stimulus",
     "Trial",
     "read_answers",
+    "simulate",
     "simulated",
     "trials",
     "write_answers",

@@ -98,7 +98,8 @@ class Plan:
     """A study: materials, experiments, the words shown (`TEXTS`), and who may take part.
 
     screening: self-reports and the answers that are let in, such as {"colour_vision": ("normal",)}; others are
-    thanked and not asked anything. Pictures are named relative to the folder that the plan is in.
+    thanked and not asked anything. mark: what has to be said wherever answers are shown, such as that the materials
+    are no measurements. Pictures are named relative to the folder that the plan is in.
     """
 
     materials: tuple[Material, ...]
@@ -106,6 +107,7 @@ class Plan:
     seed: int = 0
     texts: Mapping[str, str] = field(default_factory=dict)
     screening: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mark: str = ""
 
     def __post_init__(self) -> None:
         for key in self.texts:

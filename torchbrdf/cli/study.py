@@ -1,0 +1,246 @@
+"""`torchbrdf study`: ask people which fit looks closer, and scale what they answer."""
+
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchbrdf.cli.common import Commands, Options, described
+from torchbrdf.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from torchbrdf.study import Answer, Plan
+
+DESCRIPTION = """\
+Ask people which fit looks closer to the measured material, and turn their answers into scales.
+
+  torchbrdf study serve runs/fores2012 --experiment 2        a page for observers, in a browser
+  torchbrdf study scale runs/fores2012                       scales, figures and a page from their answers
+  torchbrdf study scale answers.csv                          the same for any paired comparisons
+  torchbrdf study power --difference 0.5                     how many observers a study needs
+"""
+
+SERVE = """\
+Serve the page of an experiment to observers. Each gets a link of their own, and can leave and come back with it.
+
+  torchbrdf study serve runs/fores2012                       experiment 1: models and error metrics
+  torchbrdf study serve runs/fores2012 --experiment 2        experiment 2: models and the measured material
+  torchbrdf study serve runs/fores2012 --host 0.0.0.0        for other computers of a lab's network
+
+The words shown, and who may take part, are in RUN_DIR/study.json; answers go to RUN_DIR/study.sqlite at once.
+"""
+
+ADD = """\
+Add an experiment to the study.json of a run, with any of its stimuli and pairs.
+
+  torchbrdf study add runs/fores2012 ward --stimuli 'ward-*' --repeats 5
+  torchbrdf study add runs/fores2012 few --pairs ward-rms:ward-cuberoot,ward-rms:measured --catch 4
+  torchbrdf study add runs/fores2012 many --stimuli '*' --compare 4
+"""
+
+SCALE = """\
+Scale the answers of a run's observers, or of a CSV file with a row an answer: observer, scene, condition_1,
+condition_2, selection (pwcmp's columns; or observer, material, left, right, chosen).
+
+  torchbrdf study scale runs/fores2012
+  torchbrdf study scale answers.csv --out scales/
+
+Writes scales.csv, scales.json, observers.csv, figures and scales.html.
+"""
+
+SIMULATE = """\
+Answer an experiment with observers who are no people: they see image differences, with noise.
+
+  torchbrdf study simulate runs/fores2012 --experiment 1 --observers 15 --out simulated.csv
+"""
+
+POWER = """\
+Say how many observers are needed to tell two stimuli apart that differ by so much on the scale, in standard deviations
+of a difference: 0.67 is a difference that 75 % see.
+
+  torchbrdf study power --difference 0.5
+  torchbrdf study power --difference 0.5 --stimuli 9 --power 0.9
+"""
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    parser = described(commands.add_parser("study", help="ask people, and scale their answers"), DESCRIPTION)
+    parts = parser.add_subparsers(metavar="PART", required=True)
+
+    serve = described(parts.add_parser("serve", help="serve the page for observers"), SERVE)
+    serve.add_argument("run", help="folder of a run, with a study.json")
+    serve.add_argument("--experiment", help="its name (default: the first)")
+    serve.add_argument("--host", default="127.0.0.1", help="address to listen at (default 127.0.0.1: this computer)")
+    serve.add_argument("--port", type=int, default=8000, help="port; 0: a free one (default 8000)")
+    serve.set_defaults(command=serve_command)
+
+    new = described(parts.add_parser("add", help="add an experiment to a run"), ADD)
+    new.add_argument("run", help="folder of a run, with a study.json")
+    new.add_argument("name", help="the new experiment's name")
+    new.add_argument("--stimuli", default="*", help="names, with * and ?, parted by commas (default: all)")
+    new.add_argument("--pairs", help="only these pairs: a:b,c:d")
+    new.add_argument("--compare", type=int, help="each observer compares each stimulus with so many others")
+    new.add_argument("--repeats", type=int, default=0, help="trials that come twice (default 0)")
+    new.add_argument("--catch", type=int, default=0, help="trials with a known answer (default 0)")
+    new.add_argument("--title", help="for reports")
+    new.set_defaults(command=add_command)
+
+    simulate = described(parts.add_parser("simulate", help="answer with simulated observers"), SIMULATE)
+    simulate.add_argument("run", help="folder of a run, with a study.json")
+    simulate.add_argument("--experiment", help="its name (default: the first)")
+    simulate.add_argument("--observers", type=int, default=15, help="how many (default 15)")
+    simulate.add_argument("--noise", type=float, help="of what they see, in units of the image difference (default 2)")
+    simulate.add_argument("--seed", type=int, default=0, help="seed of their answers (default 0)")
+    simulate.add_argument("--out", default="simulated.csv", help="the file (default: simulated.csv)")
+    simulate.set_defaults(command=simulate_command)
+
+    export = described(
+        parts.add_parser("export", help="write the answers to a CSV file"), "Write answers to a CSV file."
+    )
+    export.add_argument("run", help="folder of a run that was served")
+    export.add_argument("--out", help="the file (default: RUN_DIR/answers.csv)")
+    export.set_defaults(command=export_command)
+
+    scale = described(parts.add_parser("scale", help="scales, figures and a page from answers"), SCALE)
+    scale.add_argument("answers", help="a CSV file, or the folder of a run that was served")
+    scale.add_argument("--method", default="likelihood", help="likelihood (default) or least_squares")
+    scale.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default 0)")
+    scale.add_argument("--out", help="folder for what is written (default: scales/ beside the answers)")
+    scale.set_defaults(command=scale_command)
+
+    power = described(parts.add_parser("power", help="how many observers are needed"), POWER)
+    power.add_argument("--difference", type=float, required=True, help="on the scale")
+    power.add_argument("--stimuli", type=int, default=2, help="that are compared, all pairs (default 2)")
+    power.add_argument("--power", type=float, default=0.8, help="wanted probability to find it (default 0.8)")
+    power.add_argument("--alpha", type=float, default=0.05, help="probability to find what is not there (default 0.05)")
+    power.set_defaults(command=power_command)
+
+
+def serve_command(options: Options) -> int:
+    """`torchbrdf study serve`."""
+    from torchbrdf.study.server import serve
+
+    _, experiment = _experiment(options)
+    serve(Path(options.run), experiment, host=options.host, port=options.port)
+    return 0
+
+
+def add_command(options: Options) -> int:
+    """`torchbrdf study add`."""
+    from torchbrdf.study import Experiment, Plan, trials
+
+    plan = Plan.load(options.run)
+    if options.name in [experiment.name for experiment in plan.experiments]:
+        raise UsageError(f"{options.run}: there is an experiment {options.name!r}; give another name")
+    pairs = None
+    if options.pairs is not None:
+        pairs = tuple(_pair(text) for text in options.pairs.split(","))
+        names = list(dict.fromkeys(name for pair in pairs for name in pair))
+    else:
+        known = [name for name in plan.materials[0].stimuli if all(name in m.stimuli for m in plan.materials)]
+        wanted = options.stimuli.split(",")
+        for pattern in wanted:
+            if not any(fnmatchcase(name, pattern) for name in known):
+                raise UsageError(f"--stimuli: no stimulus is called {pattern}; expected {', '.join(known)}")
+        names = [name for name in known if any(fnmatchcase(name, pattern) for pattern in wanted)]
+    new = Experiment(
+        options.name,
+        options.title or options.name,
+        tuple(names),
+        pairs,
+        options.compare,
+        options.repeats,
+        options.catch,
+    )
+    plan = replace(plan, experiments=(*plan.experiments, new))
+    count = len(trials(plan, new, 0))
+    path = plan.save(options.run)
+    print(f"experiment {new.name}: {len(names)} stimuli, {len(plan.materials)} materials, {count} trials an observer")
+    print(path)
+    return 0
+
+
+def simulate_command(options: Options) -> int:
+    """`torchbrdf study simulate`."""
+    from torchbrdf.study import simulate, write_answers
+    from torchbrdf.study.simulation import NOISE
+
+    plan, name = _experiment(options)
+    noise = NOISE if options.noise is None else options.noise
+    answers = simulate(plan, plan.experiment(name), options.observers, noise, options.seed)
+    write_answers(options.out, answers)
+    print(f"{len(answers)} answers of {options.observers} simulated observers, who are no people")
+    print(options.out)
+    return 0
+
+
+def export_command(options: Options) -> int:
+    """`torchbrdf study export`."""
+    from torchbrdf.study import write_answers
+
+    answers = _answers_of(Path(options.run))
+    out = Path(options.out) if options.out else Path(options.run) / "answers.csv"
+    write_answers(out, answers)
+    print(f"{len(answers)} answers of {len({answer.observer for answer in answers})} observers")
+    print(out)
+    return 0
+
+
+def scale_command(options: Options) -> int:
+    """`torchbrdf study scale`."""
+    from torchbrdf.files import writable
+    from torchbrdf.report.observers import write_scales
+    from torchbrdf.study import Plan, read_answers
+    from torchbrdf.study.plan import PLAN
+
+    source = Path(options.answers)
+    folder = source if source.is_dir() else source.parent
+    answers = _answers_of(source) if source.is_dir() else read_answers(source)
+    plan = Plan.load(folder) if (folder / PLAN).exists() else None
+    out = writable(Path(options.out) if options.out else folder / "scales")
+    for line in write_scales(out, answers, plan, method=options.method, seed=options.seed, source=source.name):
+        print(line)
+    print(out / "scales.html")
+    return 0
+
+
+def power_command(options: Options) -> int:
+    """`torchbrdf study power`."""
+    from torchbrdf.study.scaling import observers_needed
+
+    needed = observers_needed(options.difference, power=options.power, alpha=options.alpha, stimuli=options.stimuli)
+    what = "two stimuli" if options.stimuli == 2 else f"the two ends of {options.stimuli} stimuli"
+    print(
+        f"{needed} observers, each judging every pair once, tell {what} apart that differ by {options.difference:g} "
+        f"(power {options.power:g}, alpha {options.alpha:g})"
+    )
+    return 0
+
+
+def _experiment(options: Options) -> tuple["Plan", str]:
+    """The plan of a run, and the name of one of its experiments."""
+    from torchbrdf.study import Plan
+
+    plan = Plan.load(options.run)
+    if options.experiment is None:
+        return plan, plan.experiments[0].name
+    return plan, plan.experiment(options.experiment).name
+
+
+def _answers_of(run: Path) -> list["Answer"]:
+    """The answers in a run's database."""
+    from torchbrdf.study import Plan
+    from torchbrdf.study.store import STORE, Store
+
+    path = run / STORE
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; `torchbrdf study serve {run}` begins one")
+    return Store(path, Plan.load(run)).answers()
+
+
+def _pair(text: str) -> tuple[str, str]:
+    left, separator, right = text.partition(":")
+    if not separator:
+        raise UsageError(f"--pairs: expected a:b,c:d, found {text!r}")
+    return left.strip(), right.strip()

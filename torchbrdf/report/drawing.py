@@ -1,0 +1,42 @@
+"""What all figures share: their style, what is written on them, and how they are saved."""
+
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from torchbrdf.files import replacing
+
+STAND_IN = "stand-in materials, not measurements"
+COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
+# Of a mark, to an inch.
+LETTERS = 16
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+}
+
+
+@contextmanager
+def drawing(path: Path, width: float, height: float, mark: str = "", layout: Any = "constrained") -> Iterator[Figure]:
+    """A figure of so many inches to draw on; saved when the block ends, with `mark` written on it."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout=layout)
+        yield figure
+        if mark:
+            lines = textwrap.fill(mark, int(width * LETTERS))
+            figure.suptitle(lines, fontsize=8, color="#9c3d00", x=0.99, ha="right")
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=110, format="png")
+
+
+def marked(stand_in: bool, *others: str) -> str:
+    """What has to be written on a figure."""
+    return "; ".join([*([STAND_IN] if stand_in else []), *(other for other in others if other)])

@@ -1,0 +1,101 @@
+"""Figures of scales from observers' answers: the paper's Figures 5 and 6, and dots where materials share nothing."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchbrdf.report.drawing import COLORS, drawing
+
+UNIT = "scale (standard deviations of a difference)"
+# Where no metric gives the colour.
+_OTHERS = ("#4c72b0", "#dd8452", "#55a868", "#c44e52", "#8172b3", "#937860", "#da8bc3", "#8c8c8c")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A stimulus across materials: its label, its name in the answers, and the metric whose colour it has, or black."""
+
+    label: str
+    name: str
+    loss: str | None = None
+    black: bool = False
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The scale value of a stimulus of a material, with its interval."""
+
+    value: float
+    low: float
+    high: float
+    outlier: bool = False
+    confused: bool = False
+
+
+Values = Mapping[tuple[str, str], Shown]
+
+
+def lines_figure(
+    path: Path, order: Sequence[str], panels: Mapping[str, Sequence[Line]], values: Values, mark: str
+) -> None:
+    """Figures 5 and 6: a panel each, a line a stimulus, materials along it; bars are 95 % intervals.
+
+    Outlier fits are in a black rectangle; what is confused with the measured material has a ring.
+    """
+    width = max(3.2, 0.26 * len(order) + 1.0)
+    with drawing(path, width * len(panels) + 1.2, 4.4, mark) as figure:
+        axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
+        for panel, (title, lines) in zip(axes, panels.items(), strict=True):
+            for k, line in enumerate(lines):
+                color = "black" if line.black else COLORS.get(line.loss or "", _OTHERS[k % len(_OTHERS)])
+                apart = 0.09 * (k - (len(lines) - 1) / 2)
+                _line(panel, [values.get((name, line.name)) for name in order], apart, line.label, color)
+            panel.set_title(title)
+            panel.set_xticks(range(len(order)), order, rotation=60, ha="right")
+            panel.margins(x=0.04)
+        axes[0].set_ylabel(UNIT + ",\nhigher looks closer")
+        axes[-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def dots_figure(path: Path, materials: Sequence[str], values: Values, mark: str) -> None:
+    """A panel a material: its stimuli from the closest to the farthest."""
+    sorted_names = {
+        material: sorted((name for m, name in values if m == material), key=lambda name: values[material, name].value)
+        for material in materials
+    }
+    most = max(map(len, sorted_names.values()))
+    columns = min(3, len(materials))
+    rows = -(-len(materials) // columns)
+    with drawing(path, 4.2 * columns, (0.24 * most + 0.9) * rows, mark) as figure:
+        axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
+        for panel, (material, names) in zip(axes, sorted_names.items(), strict=False):
+            points = [values[material, name] for name in names]
+            _bars(panel, [p.value for p in points], range(len(points)), points, "#4c72b0", "x")
+            panel.set_yticks(range(len(names)), names, fontsize=8)
+            panel.set_title(material)
+        for panel in axes[len(materials) :]:
+            panel.set_visible(False)
+        figure.supxlabel(UNIT, fontsize=9)
+
+
+def _line(panel: Any, points: Sequence[Shown | None], apart: float, label: str, color: str) -> None:
+    there = [(k + apart, point) for k, point in enumerate(points) if point is not None]
+    x, shown = [place for place, _ in there], [point for _, point in there]
+    _bars(panel, x, [point.value for point in shown], shown, color, "y", label)
+    for place, point in there:
+        if point.outlier:
+            panel.plot(place, point.value, "s", ms=10, mfc="none", mec="black")
+        if point.confused:
+            panel.plot(place, point.value, "o", ms=9, mfc="none", mec=color, mew=1.4)
+
+
+def _bars(
+    panel: Any, x: Sequence[float], y: Sequence[float], points: Sequence[Shown], color: str, along: str, label: str = ""
+) -> None:
+    """Points with their intervals along one axis, joined by a line where they stand side by side."""
+    around = [[p.value - p.low for p in points], [p.high - p.value for p in points]]
+    style = {"fmt": "o-" if along == "y" else "o", "ms": 4, "lw": 1, "elinewidth": 1, "capsize": 2}
+    panel.errorbar(x, y, **{f"{along}err": np.array(around).clip(0)}, color=color, label=label or None, **style)
