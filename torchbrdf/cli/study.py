@@ -1,5 +1,6 @@
 """`torchbrdf study`: ask people which fit looks closer, and scale what they answer."""
 
+from contextlib import closing
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -236,7 +237,8 @@ def _answers_of(run: Path) -> list["Answer"]:
     path = run / STORE
     if not path.is_file():
         raise DataError(f"{path}: no such file; `torchbrdf study serve {run}` begins one")
-    return Store(path, Plan.load(run)).answers()
+    with closing(Store(path, Plan.load(run))) as store:
+        return store.answers()
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -19,8 +19,8 @@ TEXTS = {
     "title": "Which one looks closer?",
     "consent": (
         "You will compare pictures of the same object, made of different materials.\n\n"
-        "Recorded are your choices, how long each took, the size of your window and what you say on the next page. "
-        "Your name is not asked for. You may stop at any time."
+        "Recorded are your choices and how long each took, what your screen is like (size, pixels, shades that you can "
+        "tell apart) and what you say of your eyes and your room. Your name is not asked for. You may stop at any time."
     ),
     "instructions": (
         "At the top you see a reference. Below are two approximations. Choose the one whose material looks closer to "

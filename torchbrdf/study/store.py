@@ -1,0 +1,309 @@
+"""Observers and their answers in a SQLite file: what is acknowledged is on the disk, and nothing is there twice."""
+
+import hashlib
+import json
+import secrets
+import sqlite3
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.study.answers import Answer
+from torchbrdf.study.design import Trial, observer_seed, trials
+from torchbrdf.study.plan import PLAN, Plan
+
+STORE = "study.sqlite"
+SIDES = ("left", "right")
+Stage = Literal["questions", "screen", "trials", "done", "screened"]
+
+# How long a write waits for that of another process, in seconds.
+PATIENCE = 10.0
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS plans (experiment TEXT PRIMARY KEY, fingerprint TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS observers (
+    id INTEGER PRIMARY KEY,
+    token TEXT NOT NULL UNIQUE,
+    experiment TEXT NOT NULL,
+    number INTEGER NOT NULL,
+    seed TEXT NOT NULL,
+    trials INTEGER NOT NULL,
+    consented TEXT NOT NULL,
+    reports TEXT,
+    let_in INTEGER,
+    screen TEXT,
+    UNIQUE (experiment, number)
+);
+CREATE TABLE IF NOT EXISTS trials (
+    observer INTEGER NOT NULL REFERENCES observers,
+    position INTEGER NOT NULL,
+    material TEXT NOT NULL,
+    left TEXT NOT NULL,
+    right TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    PRIMARY KEY (observer, position)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS answers (
+    observer INTEGER NOT NULL,
+    position INTEGER NOT NULL,
+    side TEXT NOT NULL CHECK (side IN ('left', 'right')),
+    response_time REAL NOT NULL,
+    time_stamp TEXT NOT NULL,
+    PRIMARY KEY (observer, position),
+    FOREIGN KEY (observer, position) REFERENCES trials
+) WITHOUT ROWID;
+"""
+
+
+class UnknownObserverError(UsageError):
+    """A link that nobody was given."""
+
+
+class NotNowError(UsageError):
+    """Something that is not what an observer is to do now, such as an answer given before."""
+
+
+class NotLetInError(UsageError):
+    """A trial for someone whose self-reports screen them out."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Where an observer is: `position` trials of `trials` are answered, and `stage` is what comes next."""
+
+    observer: int
+    stage: Stage
+    position: int
+    trials: int
+
+
+class Store:
+    """The database of a study; any number of threads and processes may use it at once.
+
+    A DataError if the file is something else, cannot be written, or has observers of an experiment whose materials or
+    stimuli are others in the plan.
+    """
+
+    def __init__(self, path: Path | str, plan: Plan) -> None:
+        self.path, self.plan = Path(path), plan
+        self._own = threading.local()
+        self._opened: list[sqlite3.Connection] = []
+        # Threads queue here, since SQLite's own waiting sleeps for longer and longer.
+        self._writer = threading.Lock()
+        try:
+            with self._writing() as db:
+                for statement in SCHEMA.split(";"):
+                    db.execute(statement)
+                for (name,) in db.execute("SELECT experiment FROM plans").fetchall():
+                    self._check(db, name)
+        except sqlite3.Error as error:
+            self.close()
+            raise DataError(f"{self.path}: expected the database of a study that can be written ({error})") from None
+        except DataError:
+            self.close()
+            raise
+
+    def begin(self, experiment: str) -> str:
+        """A new observer, who has consented: gives the token of their own link. Their trials are fixed from here on."""
+        asked = self.plan.experiment(experiment)
+        token = secrets.token_urlsafe(16)
+        with self._writing() as db:
+            db.execute("INSERT OR IGNORE INTO plans VALUES (?, ?)", (experiment, fingerprint(self.plan, experiment)))
+            self._check(db, experiment)
+            (number,) = db.execute("SELECT COUNT(*) FROM observers WHERE experiment = ?", (experiment,)).fetchone()
+            shown = trials(self.plan, asked, number)
+            # As text, since a seed may be beyond 64 bits.
+            row = (token, experiment, number, str(observer_seed(self.plan, number)), len(shown), now())
+            made = db.execute(
+                "INSERT INTO observers (token, experiment, number, seed, trials, consented) VALUES (?, ?, ?, ?, ?, ?)",
+                row,
+            )
+            db.executemany(
+                "INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?)",
+                [(made.lastrowid, k, one.material, one.left, one.right, one.kind) for k, one in enumerate(shown)],
+            )
+        return token
+
+    def state(self, token: str) -> State:
+        """Where an observer is."""
+        return _state(self._connection(), token)
+
+    def trial(self, state: State, position: int) -> Trial:
+        """A trial of an observer; positions count from 0."""
+        row = self._connection().execute(
+            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
+            (state.observer, position),
+        )
+        return Trial(*row.fetchone())
+
+    def report(self, token: str, reports: Mapping[str, Any], let_in: bool) -> State:
+        """Record what an observer says about themselves, once, and whether that lets them in."""
+        with self._writing() as db:
+            state = _state(db, token)
+            if state.stage != "questions":
+                raise NotNowError("the questions are answered already")
+            db.execute(
+                "UPDATE observers SET reports = ?, let_in = ? WHERE id = ?",
+                (json.dumps(reports), let_in, state.observer),
+            )
+        return replace(state, stage="screen" if let_in else "screened")
+
+    def check(self, token: str, screen: Mapping[str, Any]) -> State:
+        """Record what an observer's screen is like, once."""
+        with self._writing() as db:
+            state = _state(db, token)
+            if state.stage != "screen":
+                raise NotNowError("the screen is not to be checked now")
+            db.execute("UPDATE observers SET screen = ? WHERE id = ?", (json.dumps(screen), state.observer))
+        return replace(state, stage="trials")
+
+    def answer(self, token: str, position: int, side: str, response_time: float) -> State:
+        """Record the answer to an observer's current trial, and no other; gives the state after it.
+
+        When this returns, the answer is on the disk.
+        """
+        if side not in SIDES:
+            raise UsageError(f"side: expected left or right, found {side!r}")
+        with self._writing() as db:
+            state = _state(db, token)
+            if state.stage == "screened":
+                raise NotLetInError("there are no trials for you")
+            if state.stage != "trials" or position != state.position:
+                raise NotNowError("this is not the trial to answer now")
+            row = (state.observer, position, side, float(response_time), now())
+            db.execute("INSERT INTO answers VALUES (?, ?, ?, ?, ?)", row)
+        answered = position + 1
+        return replace(state, position=answered, stage="trials" if answered < state.trials else "done")
+
+    def answers(self, experiment: str | None = None) -> list[Answer]:
+        """All answers, observer by observer, each in the order given; of one experiment, or of all."""
+        rows = self._connection().execute(
+            "SELECT observers.id, experiment, material, left, right, side, response_time, time_stamp, seed, kind"
+            " FROM answers JOIN observers ON observers.id = answers.observer"
+            " JOIN trials ON trials.observer = answers.observer AND trials.position = answers.position"
+            " WHERE ? IS NULL OR experiment = ? ORDER BY observers.id, answers.position",
+            (experiment, experiment),
+        )
+        return [
+            Answer(observer_name(who), name, what, a, b, a if side == "left" else b, time, stamp, int(seed), kind)
+            for who, name, what, a, b, side, time, stamp, seed, kind in rows
+        ]
+
+    def profiles(self) -> list[dict[str, Any]]:
+        """What is known of each observer; `reports`, `screen` and `let_in` are None before they said so."""
+        rows = self._connection().execute(
+            "SELECT id, experiment, number, seed, consented, let_in, reports, screen, trials,"
+            " (SELECT COUNT(*) FROM answers WHERE observer = observers.id) FROM observers ORDER BY id"
+        )
+        return [
+            {
+                "observer": observer_name(who),
+                "experiment": experiment,
+                "number": number,
+                "seed": int(seed),
+                "consented": consented,
+                "let_in": None if let_in is None else bool(let_in),
+                "reports": None if reports is None else json.loads(reports),
+                "screen": None if screen is None else json.loads(screen),
+                "trials": count,
+                "answered": answered,
+            }
+            for who, experiment, number, seed, consented, let_in, reports, screen, count, answered in rows
+        ]
+
+    def counts(self, experiment: str) -> tuple[int, int]:
+        """How many observers an experiment has, and how many answers."""
+        both = self._connection().execute(
+            "SELECT (SELECT COUNT(*) FROM observers WHERE experiment = ?), (SELECT COUNT(*) FROM answers"
+            " JOIN observers ON observers.id = answers.observer WHERE experiment = ?)",
+            (experiment, experiment),
+        )
+        observers, answers = both.fetchone()
+        return observers, answers
+
+    def close(self) -> None:
+        """Close the connections of all threads; none may be at work."""
+        for connection in self._opened:
+            connection.close()
+        self._opened.clear()
+        self._own = threading.local()
+
+    def _check(self, db: sqlite3.Connection, experiment: str) -> None:
+        """A DataError if observers of an experiment began with another plan."""
+        found = db.execute("SELECT fingerprint FROM plans WHERE experiment = ?", (experiment,)).fetchone()
+        if found != (fingerprint(self.plan, experiment),):
+            raise DataError(
+                f"{self.path}: experiment {experiment!r} was begun with other materials, stimuli or seed "
+                f"than {PLAN} has now; restore {PLAN}, or move {self.path.name} away"
+            )
+
+    def _connection(self) -> sqlite3.Connection:
+        """This thread's own."""
+        found: sqlite3.Connection | None = getattr(self._own, "connection", None)
+        if found is None:
+            # isolation_level: transactions are those that are written here. Others' threads only ever close it.
+            found = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
+            self._opened.append(found)
+            found.execute("PRAGMA journal_mode = WAL")
+            found.execute("PRAGMA synchronous = FULL")
+            found.execute("PRAGMA foreign_keys = ON")
+            self._own.connection = found
+        return found
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """A transaction that no other write comes into; on the disk when the block ends, undone if that raises."""
+        with self._writer:
+            db = self._connection()
+            db.execute("BEGIN IMMEDIATE")
+            try:
+                yield db
+                db.execute("COMMIT")
+            finally:
+                if db.in_transaction:
+                    db.execute("ROLLBACK")
+
+
+def fingerprint(plan: Plan, experiment: str) -> str:
+    """What the trials of an experiment depend on, and the pictures in them; words and other experiments may change."""
+    asked = [asdict(one) | {"title": ""} for one in plan.experiments if one.name == experiment]
+    used = {name for one in asked for name in one["stimuli"]}
+    materials = [asdict(material) for material in plan.materials]
+    for material in materials:
+        material["stimuli"] = {name: what for name, what in material["stimuli"].items() if name in used}
+    return hashlib.sha256(json.dumps([plan.seed, asked, materials], sort_keys=True).encode()).hexdigest()
+
+
+def observer_name(number: int) -> str:
+    """What an observer is called in answers; numbers count from 1 through all experiments of a database."""
+    return f"observer-{number:03d}"
+
+
+def now() -> str:
+    """The time in ISO 8601, UTC, with milliseconds."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _state(db: sqlite3.Connection, token: str) -> State:
+    row = db.execute(
+        "SELECT id, trials, let_in, screen IS NOT NULL, (SELECT COUNT(*) FROM answers WHERE observer = observers.id)"
+        " FROM observers WHERE token = ?",
+        (token,),
+    ).fetchone()
+    if row is None:
+        raise UnknownObserverError("this link is not known")
+    observer, count, let_in, checked, position = row
+    if let_in is None:
+        stage: Stage = "questions"
+    elif not let_in:
+        stage = "screened"
+    elif not checked:
+        stage = "screen"
+    else:
+        stage = "trials" if position < count else "done"
+    return State(observer, stage, position, count)
