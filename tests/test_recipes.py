@@ -1,8 +1,10 @@
 """Recipes: settings, folders, resuming, and every recipe in its quick form."""
 
 import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
 from torchbrdf.measured import PAPER_TEN, load, standins
 from torchbrdf.recipe import RECIPES, Recipe, configure, describe, find_recipe, parse, run
+from torchbrdf.study import MEASURED, Plan, read_answers, simulated
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def test_the_bundled_stand_ins_are_the_papers_ten():
 
 
 WHOLE = {"report.html", "fits.json", "fits.csv", "renders", "figures", "tonemap.json"}
-QUICK = {"fores2012": WHOLE, "image_vs_analytic": WHOLE}
+QUICK = {"fores2012": WHOLE | {"study.json", "simulated.csv"}, "image_vs_analytic": WHOLE}
 
 
 @pytest.mark.parametrize("name", list(RECIPES))
@@ -160,6 +163,50 @@ def test_a_report_is_one_file_that_shows_every_picture(study):
     assert "Stand-ins." in page and "1 lobe or 2" in page
     assert "Staged beside global" in page and "Does lower error look better?" in page
     assert (study / "figures" / "strategies.png").stat().st_size > 1000
+
+
+def test_a_report_shows_what_simulated_observers_say_and_that_they_are_no_people(study):
+    page = (study / "report.html").read_text()
+    assert page.count("simulated observers: not people") == 2
+    for words in ("Experiment 1: models and error metrics", "Experiment 2: models under", "Is the cube root at least"):
+        assert words in page
+    assert all((study / "figures" / f"scales-{k}.png").stat().st_size > 1000 for k in (1, 2))
+    answers = read_answers(study / "simulated.csv")
+    assert simulated(answers) and Counter(a.experiment for a in answers) == {"1": 15 * 2 * 3, "2": 20 * 2 * 1}
+
+
+def test_the_plan_of_a_study_is_served_as_it_is(study):
+    plan = Plan.load(study)
+    first, second = plan.experiments
+    assert first.stimuli == ("ward-rms", "ward-cosine", "ward-cuberoot") and second.stimuli[-1] == MEASURED
+    assert "stand-in" in plan.mark
+    records = json.loads((study / "fits.json").read_text())
+    for material in plan.materials:
+        assert material.reference == f"renders/{material.name}-turned.png"
+        assert material.stimuli[MEASURED].picture == f"renders/{material.name}-reference.png"
+        for record in records:
+            if record["material"] == material.name and "differences" in record:
+                staged = "-staged" if record["strategy"] == "staged" else ""
+                stimulus = material.stimuli[f"ward-{record['loss']}{staged}"]
+                assert stimulus.picture == f"renders/{material.name}-ward-{record['loss']}{staged}.png"
+                assert stimulus.difference == record["differences"]["delta_e"]
+                assert stimulus.outlier == record["outlier"]
+
+
+def test_a_recipe_can_say_other_words_and_screen(tmp_path):
+    fores2012 = RECIPES["fores2012"]
+
+    class Ours(fores2012):
+        texts: ClassVar = {"consent": "Take part?"}
+        screening: ClassVar = {"colour_vision": ("normal",)}
+
+    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "beside": "none"}
+    run(configure(Ours, settings), tmp_path / "out")
+    plan = Plan.load(tmp_path / "out")
+    assert plan.text("consent") == "Take part?" and plan.screening == {"colour_vision": ("normal",)}
+    assert [experiment.name for experiment in plan.experiments] == ["2"]  # there is nothing to compare in the first
+    with pytest.raises(UsageError, match="observers: expected two numbers"):
+        configure(fores2012, {"observers": "15"})
 
 
 def test_a_study_takes_up_what_is_finished(study):

@@ -9,6 +9,7 @@ import pytest
 from study_folder import BIRDS, EXPERIMENT, LOOK, SECRETS, Client, Ears, make_study, pixels_of, serving, stop_server
 
 from torchbrdf.study import Plan, read_answers, write_answers
+from torchbrdf.study.scaling import Comparisons, scale
 from torchbrdf.study.store import STORE, Store
 
 api = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install playwright")
@@ -174,6 +175,9 @@ def test_a_whole_session(browser, large, tmp_path):
     assert {"left", "right"} == set(pressed)
     wins = Counter(one.chosen for one in answers)
     assert [wins[bird] for bird in BIRDS] == [30, 20, 10, 0]
+    scales = scale(Comparisons.from_answers(answers))
+    for names, values in zip(scales.stimuli, scales.value.tolist(), strict=True):
+        assert sorted(names, key=dict(zip(names, values, strict=True)).__getitem__, reverse=True) == list(BIRDS)
     times = [one.response_time for one in answers]
     slow = times[4::10]
     assert all(0 < seconds < 5 for seconds in times) and sum(times) + 58 * 0.25 < took

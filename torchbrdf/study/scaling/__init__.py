@@ -1,12 +1,12 @@
 """Scales from paired comparisons, with intervals, tests, and reports on observers."""
 
 from torchbrdf.study.scaling.comparisons import Comparisons
-from torchbrdf.study.scaling.goodness import Goodness, goodness
 from torchbrdf.study.scaling.intervals import Method, bootstrap, montag
 from torchbrdf.study.scaling.kendall import Agreement, agreement, circular_triads, consistence
+from torchbrdf.study.scaling.likelihood_ratio import Goodness, goodness
 from torchbrdf.study.scaling.observers import ObserverReport, agreement_with_others, observer_reports
 from torchbrdf.study.scaling.power import observers_needed, power_of
-from torchbrdf.study.scaling.scale import Scales, scale
+from torchbrdf.study.scaling.scales import Scales, scale
 from torchbrdf.study.scaling.simulate import simulated_wins
 from torchbrdf.study.scaling.thurstone import PRIOR, least_squares, most_likely
 
