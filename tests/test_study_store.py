@@ -1,5 +1,7 @@
 """The database of a study: nothing twice, nothing lost, nothing that is not to be answered now."""
 
+import csv
+import json
 import shutil
 import sqlite3
 import threading
@@ -8,8 +10,9 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
-from study_folder import EXPERIMENT, REPORTS, SCREEN, make_study
+from study_folder import BIRDS, EXPERIMENT, REPORTS, SCREEN, make_study
 
+from torchbrdf.cli import main
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.study import Experiment, Stimulus, read_answers, trials, write_answers
 from torchbrdf.study import store as module
@@ -298,3 +301,28 @@ def test_an_unknown_experiment(store):
     with pytest.raises(TorchbrdfError, match=r"^unknown experiment 'quartett'; .* did you mean 'quartet'\?$"):
         store.begin("quartett")
     assert store.profiles() == []
+
+
+def test_a_user_exports_and_scales_what_observers_answered(tmp_path, capsys):
+    plan = make_study(tmp_path, materials=2)
+    store = Store(tmp_path / STORE, plan)
+    for _ in range(3):
+        token = ready(store)
+        for position in range(12):
+            shown = store.trial(store.state(token), position)
+            side = "left" if BIRDS.index(shown.left) < BIRDS.index(shown.right) else "right"
+            store.answer(token, position, side, 1.5)
+    store.close()
+    out = tmp_path / "out" / "answers.csv"
+    assert main(["study", "export", str(tmp_path), "--out", str(out)]) == 0
+    assert "36 answers of 3 observers" in capsys.readouterr().out
+    assert len(read_answers(out)) == 36
+    (first, *_) = json.loads((tmp_path / "out" / "answers-observers.json").read_text())
+    assert first["reports"] == REPORTS and first["screen"] == SCREEN and "token" not in first
+    assert main(["study", "scale", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "3 observers, 36 answers" in printed and "not people" not in printed
+    rows = list(csv.DictReader((tmp_path / "scales" / "scales.csv").open()))
+    for material in plan.materials:
+        own = {row["stimulus"]: float(row["scale"]) for row in rows if row["material"] == material.name}
+        assert sorted(own, key=own.__getitem__, reverse=True) == list(BIRDS)

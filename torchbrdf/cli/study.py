@@ -10,7 +10,8 @@ from torchbrdf.cli.common import Commands, Options, described
 from torchbrdf.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from torchbrdf.study import Answer, Plan
+    from torchbrdf.study import Plan
+    from torchbrdf.study.store import Store
 
 DESCRIPTION = """\
 Ask people which fit looks closer to the measured material, and turn their answers into scales.
@@ -37,6 +38,13 @@ Add an experiment to the study.json of a run, with any of its stimuli and pairs.
   torchbrdf study add runs/fores2012 ward --stimuli 'ward-*' --repeats 5
   torchbrdf study add runs/fores2012 few --pairs ward-rms:ward-cuberoot,ward-rms:measured --catch 4
   torchbrdf study add runs/fores2012 many --stimuli '*' --compare 4
+"""
+
+EXPORT = """\
+Write the answers of a run's observers to a CSV file, in the columns of pwcmp and more, and beside it, as JSON, what
+observers said of themselves and their screens.
+
+  torchbrdf study export runs/fores2012 --out answers.csv
 """
 
 SCALE = """\
@@ -96,9 +104,7 @@ def add(commands: Commands) -> None:
     simulate.add_argument("--out", default="simulated.csv", help="the file (default: simulated.csv)")
     simulate.set_defaults(command=simulate_command)
 
-    export = described(
-        parts.add_parser("export", help="write the answers to a CSV file"), "Write answers to a CSV file."
-    )
+    export = described(parts.add_parser("export", help="write the answers to a CSV file"), EXPORT)
     export.add_argument("run", help="folder of a run that was served")
     export.add_argument("--out", help="the file (default: RUN_DIR/answers.csv)")
     export.set_defaults(command=export_command)
@@ -178,13 +184,20 @@ def simulate_command(options: Options) -> int:
 
 def export_command(options: Options) -> int:
     """`torchbrdf study export`."""
+    import json
+
+    from torchbrdf.files import write_text
     from torchbrdf.study import write_answers
 
-    answers = _answers_of(Path(options.run))
+    with _store_of(Path(options.run)) as store:
+        answers, profiles = store.answers(), store.profiles()
     out = Path(options.out) if options.out else Path(options.run) / "answers.csv"
     write_answers(out, answers)
-    print(f"{len(answers)} answers of {len({answer.observer for answer in answers})} observers")
+    observers = out.with_name(f"{out.stem}-observers.json")
+    write_text(observers, json.dumps(profiles, indent=1) + "\n")
+    print(f"{len(answers)} answers of {len(profiles)} observers; what they said of themselves and their screens")
     print(out)
+    print(observers)
     return 0
 
 
@@ -197,7 +210,11 @@ def scale_command(options: Options) -> int:
 
     source = Path(options.answers)
     folder = source if source.is_dir() else source.parent
-    answers = _answers_of(source) if source.is_dir() else read_answers(source)
+    if source.is_dir():
+        with _store_of(source) as store:
+            answers = store.answers()
+    else:
+        answers = read_answers(source)
     plan = Plan.load(folder) if (folder / PLAN).exists() else None
     out = writable(Path(options.out) if options.out else folder / "scales")
     for line in write_scales(out, answers, plan, method=options.method, seed=options.seed, source=source.name):
@@ -229,16 +246,15 @@ def _experiment(options: Options) -> tuple["Plan", str]:
     return plan, plan.experiment(options.experiment).name
 
 
-def _answers_of(run: Path) -> list["Answer"]:
-    """The answers in a run's database."""
+def _store_of(run: Path) -> "closing[Store]":
+    """A run's database, open for a block."""
     from torchbrdf.study import Plan
     from torchbrdf.study.store import STORE, Store
 
     path = run / STORE
     if not path.is_file():
         raise DataError(f"{path}: no such file; `torchbrdf study serve {run}` begins one")
-    with closing(Store(path, Plan.load(run))) as store:
-        return store.answers()
+    return closing(Store(path, Plan.load(run)))
 
 
 def _pair(text: str) -> tuple[str, str]:
