@@ -337,7 +337,7 @@ def test_fuzzed_profiles(client, store, body, other):
 
 @FUZZ
 @given(
-    path=st.text(max_size=30),
+    path=st.text(st.characters(exclude_categories=("Cc", "Cs")), max_size=30),  # a client leaves out line breaks
     parts=st.lists(st.sampled_from(["..", "%2e%2e", "/", "o", "page", "0", "\\"]), max_size=6),
 )
 def test_fuzzed_paths(client, path, parts):
