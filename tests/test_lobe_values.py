@@ -15,7 +15,19 @@ from hypothesis import strategies as st
 from mpmath import mpf
 from scipy import integrate
 
-from torchbrdf.lobes import LOBES, ashikhmin_shirley, cook_torrance, distribution_based, lambert, schlick, ward
+from torchbrdf.lobes import (
+    LOBES,
+    abc,
+    ashikhmin_shirley,
+    blinn_phong,
+    cook_torrance,
+    dielectric,
+    distribution_based,
+    lambert,
+    schlick,
+    shifted_gamma,
+    ward,
+)
 from torchbrdf.pairs import Pairs
 
 Vector = list[mpf]
@@ -72,6 +84,42 @@ def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> m
     return table * masking(g) * fresnel(g, f0) / (4 * g.n_i * g.n_o)
 
 
+def exact_blinn_phong(g: Geometry, specular: mpf, n: mpf) -> mpf:
+    return specular * (n + 2) / (2 * mpmath.pi) * g.n_h**n
+
+
+def exact_dielectric(cosine: mpf, ior: mpf) -> mpf:
+    """Fresnel's equations for the two polarizations, with the refracted direction of Snell's law."""
+    refracted = mpmath.sqrt(1 - (1 - cosine**2) / ior**2)
+    across = (cosine - ior * refracted) / (cosine + ior * refracted)
+    along = (ior * cosine - refracted) / (ior * cosine + refracted)
+    return (across**2 + along**2) / 2
+
+
+def exact_abc(g: Geometry, a: mpf, b: mpf, c: mpf, ior: mpf) -> mpf:
+    d = a / (1 + b * (1 - g.n_h)) ** c
+    return d * masking(g) * exact_dielectric(g.o_h, ior) / (mpmath.pi * g.n_i * g.n_o)
+
+
+def exact_shifted_gamma(
+    g: Geometry, specular: mpf, alpha: mpf, p: mpf, k: mpf, f0: mpf, f1: mpf, *shadowing: mpf
+) -> mpf:
+    depth, reach, power, onset = shadowing
+    c = reach**-power
+
+    def lit(cosine: mpf) -> mpf:
+        above = max(mpf(0), mpmath.acos(cosine) - onset)
+        value = max(mpf(0), 1 + depth * (1 - mpmath.exp(c * above**power)))
+        assume(value == 0 or value > 0.2)  # a difference of equals has no digits
+        return value
+
+    argument = alpha + mpmath.tan(g.delta) ** 2 / alpha
+    d = k * mpmath.exp(-argument) / argument**p / (mpmath.pi * g.n_h**4)
+    reflected = fresnel(g, f0) - f1 * g.o_h
+    assume(abs(reflected) > 0.05)
+    return specular * d * max(mpf(0), reflected) * lit(g.n_i) * lit(g.n_o) / (mpmath.pi * g.n_i * g.n_o)
+
+
 unit = st.floats(0, 1)
 f0s = st.floats(0.02, 1)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
@@ -88,6 +136,16 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "cook_torrance": (exact_cook_torrance, [unit, decades(0.001, 1), f0s]),
     "ashikhmin_shirley": (exact_ashikhmin_shirley, [unit, decades(0.001, 50000), f0s]),
     "distribution_based": (exact_distribution_based, [table, f0s]),
+    "blinn_phong": (exact_blinn_phong, [unit, decades(0.001, 200_000)]),
+    "abc": (exact_abc, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
+    "shifted_gamma": (
+        exact_shifted_gamma,
+        [
+            *[unit, decades(1e-5, 1), st.floats(0, 2), decades(1, 1e5), st.floats(0, 10), st.floats(-1, 8)],
+            # Steeper and deeper shadows magnify the rounding of the angle itself; test_published.py has those.
+            *[decades(0.1, 30), decades(0.3, 2.5), decades(1, 50), st.floats(-0.7, 1.25)],
+        ],
+    ),
 }
 
 
@@ -129,9 +187,25 @@ def test_every_channel_has_its_own_albedo() -> None:
     for function, rest in [(lambert, 0), (ward, 1), (cook_torrance, 2), (ashikhmin_shirley, 2)]:
         value = function(pairs, colour, *[0.3 * one] * rest)[0]
         torch.testing.assert_close(value / value.sum(), colour)
+    for function, rest in [(blinn_phong, 1), (abc, 3)]:
+        value = function(pairs, colour, *[1.3 * one] * rest)[0]
+        torch.testing.assert_close(value / value.sum(), colour)
     nodes = torch.arange(1.0, 6, dtype=torch.float64)[:, None] * colour
     value = distribution_based(pairs, nodes, 0.3 * one)[0]
     torch.testing.assert_close(value / value.sum(), colour)
+
+
+def test_shifted_gamma_has_parameters_of_its_own_for_each_channel() -> None:
+    """Each channel is the lobe of that channel's numbers, and of no other's."""
+    pairs = Pairs.from_half_diff(*torch.tensor([[0.2], [1.1], [0.3]], dtype=torch.float64))
+    declared = LOBES["shifted_gamma"].declared.values()
+    rising = torch.linspace(0.9, 1.1, 3, dtype=torch.float64)
+    values = [torch.tensor(bounded.start or 0.1, dtype=torch.float64) * rising for bounded in declared]
+    found = shifted_gamma(pairs, *values)[0]
+    for channel in range(3):
+        alone = shifted_gamma(pairs, *(value[channel : channel + 1] for value in values))[0]
+        torch.testing.assert_close(alone, found[channel : channel + 1], rtol=1e-14, atol=0)
+    assert len(set(found.tolist())) == 3
 
 
 def test_table_1() -> None:
@@ -210,6 +284,82 @@ def test_beckmann_of_the_paper_lacks_the_one_over_pi(roughness: float) -> None:
     edges = [0, min(4 * roughness, 0.7), math.pi / 2]
     total = sum(integrate.quad(d_cosine, a, b, epsrel=1e-8)[0] for a, b in pairwise(edges))
     assert total == pytest.approx(math.pi, rel=1e-6)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 10.0, 1000.0, 100_000.0])
+def test_blinn_phong_is_normalized_over_half_vectors(exponent: float) -> None:
+    """Ngan's factor: the lobe times cos_h integrates to the albedo over the half vectors, at any exponent."""
+
+    def integrand(theta: float) -> float:
+        value = evaluate(blinn_phong, theta, theta, 0.0, 0.7, exponent)
+        return 2 * math.pi * value * math.cos(theta) * math.sin(theta)
+
+    edges = [0, min(4 / math.sqrt(exponent), 1.0), math.pi / 2]
+    total = sum(integrate.quad(integrand, a, b, epsrel=1e-9)[0] for a, b in pairwise(edges))
+    assert total == pytest.approx(0.7, rel=1e-8)
+
+
+@pytest.mark.parametrize("exponent", [300.0, 30_000.0])
+def test_blinn_phong_is_ward_when_sharp(exponent: float) -> None:
+    """cos_h^n is exp(-tan2_h n / 2) but for the fourth order: Ward's lobe with alpha^2 = 2 / n, at the normal."""
+    alpha = math.sqrt(2 / exponent)
+    for tan_h in (0.0, alpha / 2, alpha):
+        theta = math.atan(tan_h)
+        # Light and viewer in the half vector's direction; Ward divides by its cosine, and its ks is 4 times as large.
+        ours = evaluate(blinn_phong, theta, theta, 0.0, 1.0, exponent)
+        other = 4 * evaluate(ward, theta, theta, 0.0, 1.0, alpha) * math.cos(theta)
+        assert ours == pytest.approx(other, rel=4 / exponent)
+
+
+@pytest.mark.parametrize(("alpha", "p"), [(0.001, 0.0), (0.02, 0.5), (0.1, 1.0), (0.5, 1.7)])
+def test_shifted_gamma_is_normalized_by_an_incomplete_gamma_function(alpha: float, p: float) -> None:
+    """With K = 1 / (alpha Gamma(1 - p, alpha)) the distribution times cos_h integrates to 1."""
+    k = 1 / (alpha * float(mpmath.gammainc(1 - p, alpha)))
+    # Neither shadow nor Fresnel: F is F0 + (1 - F0) 0, as light and viewer are in the half vector's direction.
+    rest = (1.0, alpha, p, k, 1.0, 0.0, 1e-8, 2.5, 1000.0, 1.25)
+
+    def d_cosine(theta: float) -> float:
+        cos = math.cos(theta)
+        d = evaluate(shifted_gamma, theta, theta, 0.0, *rest) * math.pi * cos * cos
+        return 2 * math.pi * d * cos * math.sin(theta)
+
+    edges = [0, math.atan(alpha), math.atan(8 * alpha), math.pi / 2 - 1e-6]
+    assert sum(integrate.quad(d_cosine, a, b, epsrel=1e-9)[0] for a, b in pairwise(edges)) == pytest.approx(1, rel=1e-6)
+
+
+@pytest.mark.parametrize(("sharpness", "exponent"), [(10.0, 0.5), (1e3, 1.2), (1e5, 2.5)])
+def test_abc_integrates_to_its_closed_form(sharpness: float, exponent: float) -> None:
+    """Over solid angle the distribution is 2 pi ((1 + B)^(1 - C) - 1) / (B (1 - C))."""
+
+    def distribution(theta: float) -> float:
+        cos = math.cos(theta)
+        value = evaluate(abc, theta, theta, 0.0, 1.0, sharpness, exponent, 1.5)
+        d = value * math.pi * cos * cos / (0.04 * min(1.0, 2 * cos * cos))  # F is ((n - 1) / (n + 1))^2
+        return 2 * math.pi * d * math.sin(theta)
+
+    edges = [0, 2 / math.sqrt(sharpness), math.pi / 4, math.pi / 2]
+    total = sum(integrate.quad(distribution, a, b, epsrel=1e-9)[0] for a, b in pairwise(edges))
+    closed = 2 * math.pi * ((1 + sharpness) ** (1 - exponent) - 1) / (sharpness * (1 - exponent))
+    assert total == pytest.approx(closed, rel=1e-6)
+
+
+@pytest.mark.parametrize("ior", [1.05, 1.5, 4.0, 99.0])
+def test_dielectric_of_mitsuba(ior: float) -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    for cosine in (1.0, 0.8, 0.5, 0.2, 0.02):
+        found = dielectric(torch.tensor(ior), torch.tensor(cosine, dtype=torch.float64)).item()
+        assert found == pytest.approx(mi.fresnel(cosine, ior)[0], rel=1e-3)
+
+
+def test_dielectric_at_its_ends() -> None:
+    """(n - 1)^2 / (n + 1)^2 at the normal, 1 at grazing, and nothing at Brewster's angle but the other polarization."""
+    ior = torch.tensor([1.5, 3.0], dtype=torch.float64)
+    torch.testing.assert_close(dielectric(ior, torch.ones_like(ior)), ((ior - 1) / (ior + 1)).square())
+    torch.testing.assert_close(dielectric(ior, torch.zeros_like(ior)), torch.ones_like(ior))
+    brewster = (1 + ior.square()).rsqrt()  # its cosine
+    half = ((ior.square() - 1) / (ior.square() + 1)).square() / 2
+    torch.testing.assert_close(dielectric(ior, brewster), half)
 
 
 def test_schlick_at_its_ends() -> None:

@@ -1,29 +1,38 @@
 """What a BRDF is made of: lobes, as functions of Pairs and as torch modules. A lobe a file."""
 
+from torchbrdf.lobes.abc_distribution import Abc, abc, dielectric
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
 from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
+from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.records import model_of, number, read_fits, write_fits
+from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
 
 __all__ = [
     "LOBES",
+    "Abc",
     "AshikhminShirley",
+    "BlinnPhong",
     "Bounded",
     "CookTorrance",
     "DistributionBased",
     "Lambert",
     "Lobe",
+    "ShiftedGamma",
     "Sum",
     "Ward",
+    "abc",
     "ashikhmin_shirley",
+    "blinn_phong",
     "color",
     "cook_torrance",
+    "dielectric",
     "distribution_based",
     "from_parameters",
     "lambert",
@@ -34,6 +43,7 @@ __all__ = [
     "parameters",
     "read_fits",
     "schlick",
+    "shifted_gamma",
     "ward",
     "write_fits",
 ]

@@ -1,0 +1,86 @@
+"""The microfacet lobe with the shifted gamma distribution (SGD)."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
+from torchbrdf.lobes.fresnel import grazing
+from torchbrdf.lobes.shape import decay, log_secant, tangent
+from torchbrdf.pairs import Pairs
+
+# Below this a product of cosines no longer changes a quotient.
+PRODUCT_FLOOR = 1e-13
+# An exponent of the shadowing beyond which it is complete: exp(exp(3)) is 5e8.
+COMPLETE = 3.0
+
+
+def shifted_gamma(
+    pairs: Pairs,
+    specular: Tensor,
+    alpha: Tensor,
+    p: Tensor,
+    normalization: Tensor,
+    f0: Tensor,
+    f1: Tensor,
+    shadow: Tensor,
+    reach: Tensor,
+    steepness: Tensor,
+    onset: Tensor,
+) -> Tensor:
+    """specular * D G(theta_i) G(theta_o) F / (pi cos_i cos_o), with parameters of their own for each channel.
+
+    D = K exp(-t) / (pi t^p cos_h^4) with t = alpha + tan2_h / alpha. It is normalized where K is
+    1 / (alpha Gamma(1 - p, alpha)), with the upper incomplete gamma function; all published K are.
+    G(theta) = 1 + Lambda (1 - exp(c (theta - theta0)^k)) from theta0 on and 1 before it, with the angle in radians.
+    Published c go from 1e-8 to 1e109 and k to 856; here c is reach^-k, so that the exponent is ((theta - theta0) /
+    reach)^k, which loses nothing in float32. F = F0 + (1 - F0) (1 - cos_d)^5 - F1 cos_d. G and F are not below 0.
+
+    specular: albedo; alpha: width, squared; p: how fast the tail falls; normalization: K; f0, f1: F0, F1; shadow:
+    Lambda; reach: c^(-1/k), radians; steepness: k; onset: theta0, radians; `(..., 3)` each.
+    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Source: M. Bagher, C. Soler and N. Holzschuch, Accurate Fitting of Measured Reflectances Using a Shifted Gamma
+    Micro-facet Distribution, 2012, doi:10.1111/j.1467-8659.2012.03147.x.
+    """
+    alpha, p, steepness = alpha[..., None, :], p[..., None, :], steepness[..., None, :]
+    f0, f1 = f0[..., None, :], f1[..., None, :]
+    shadow, reach, onset = shadow[..., None, :], reach[..., None, :], onset[..., None, :]
+    spread = alpha + tangent(pairs)[..., None] / alpha
+    # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
+    facets = decay(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
+    fresnel = (f0 + (1 - f0) * grazing(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
+    lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
+    for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):
+        theta = pairs.keep(name, lambda cosine=cosine: _angle(cosine))[..., None]  # type: ignore[misc]
+        # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
+        power = steepness * ((theta - onset).clamp_min(1e-30) / reach).log()
+        facets = facets * (1 - shadow * torch.expm1(power.clamp_max(COMPLETE).exp())).clamp_min(0)
+    shape = facets * fresnel * torch.where(pairs.above, lit, 0)[..., None]
+    return shape * (specular * normalization)[..., None, :]
+
+
+def _angle(cosine: Tensor) -> Tensor:
+    """The angle of a cosine, by way of the sine, which is kept from 0, where the slope is infinite."""
+    return torch.atan2(((1 - cosine) * (1 + cosine)).clamp_min(1e-30).sqrt(), cosine)
+
+
+@LOBES.register("shifted_gamma")
+class ShiftedGamma(Lobe):
+    """The shifted gamma lobe; ten numbers for each channel, whose bounds hold the published fits.
+
+    As no colour times a scalar function, it is fitted by the general solver: the staged procedure, then all parameters
+    together. The value depends on the product of `specular` and `normalization` only, and fits move both.
+    """
+
+    specular = color(start=0.1, upper=5.0, doc="specular albedo, per channel")
+    alpha = Bounded(start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared")
+    p = Bounded(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
+    normalization = Bounded(start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution")
+    f0 = Bounded(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
+    f1 = Bounded(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
+    shadow = Bounded(start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing")
+    reach = Bounded(start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians")
+    steepness = Bounded(start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing")
+    onset = Bounded(start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians")
+    function = staticmethod(shifted_gamma)
