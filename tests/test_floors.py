@@ -20,6 +20,7 @@ FLOORS = {
     "fitting": 3,
     "render": 3,
     "study": 3,
+    "human": 3,
     "measured": 2,
     "lobes": 1,
     "losses": 1,

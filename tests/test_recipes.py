@@ -121,7 +121,11 @@ def test_the_bundled_stand_ins_are_the_papers_ten():
 
 
 WHOLE = {"report.html", "fits.json", "fits.csv", "renders", "figures", "tonemap.json"}
-QUICK = {"fores2012": WHOLE | {"study.json", "simulated.csv"}, "image_vs_analytic": WHOLE}
+QUICK = {
+    "fores2012": WHOLE | {"study.json", "simulated.csv"},
+    "image_vs_analytic": WHOLE,
+    "human_benchmark": {"report.html", "scores.json", "scores.csv", "distances", "figures"},
+}
 
 
 @pytest.mark.parametrize("name", list(RECIPES))

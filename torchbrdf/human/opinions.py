@@ -1,0 +1,103 @@
+"""Opinions: how far people find approximations from the material that they approximate."""
+
+import csv
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError
+
+SOURCE = (
+    "the opinions of Lavoue, Bonneel, Farrugia and Soler 2021, Perceptual quality of BRDF approximations: dataset and "
+    "metrics, doi:10.1111/cgf.142636, given at github.com/nbonneel/PerceptualBRDF"
+)
+VOTES = 30
+
+
+@dataclass(frozen=True)
+class Opinions:
+    """Mean opinions of approximations, a row for each method and material: `distance` (R,) is 0 at best, 1 at worst.
+
+    methods, materials: of each row, R names. distance = (5 - MOS) / 4 where MOS is the mean of about 30 opinions from
+    1 (very different) to 5 (no difference), float64.
+
+    Source: G. Lavoue, N. Bonneel, J.-P. Farrugia, C. Soler, Perceptual quality of BRDF approximations: dataset and
+    metrics, 2021, doi:10.1111/cgf.142636.
+    """
+
+    methods: list[str]
+    materials: list[str]
+    distance: Tensor
+
+    def __len__(self) -> int:
+        return len(self.methods)
+
+    @property
+    def standard_error(self) -> Tensor:
+        """Standard error of each distance, `(R,)`: sqrt(max(0.2 (-MOS^2 + 6 MOS - 5), 0.15) / 30) / 4.
+
+        The spread of single opinions is not published; the variance is modelled as a fifth of the largest that a mean
+        opinion between 1 and 5 allows, (MOS - 1)(5 - MOS), and 0.15 at least.
+        """
+        mos = 5 - 4 * self.distance
+        variance = (0.2 * (-mos.square() + 6 * mos - 5)).clamp_min(0.15)
+        return (variance / VOTES).sqrt() / 4
+
+    def of(self, methods: Collection[str]) -> "Opinions":
+        """The rows of some methods."""
+        rows = [row for row, method in enumerate(self.methods) if method in methods]
+        return self.select(rows)
+
+    def select(self, rows: list[int]) -> "Opinions":
+        """Some of the rows, by index."""
+        return Opinions(
+            [self.methods[row] for row in rows],
+            [self.materials[row] for row in rows],
+            self.distance[torch.tensor(rows, dtype=torch.long)],
+        )
+
+
+def read_opinions(path: Path | str) -> Opinions:
+    """Opinions from a CSV file with the columns method, material, distance."""
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; expected {SOURCE}")
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.reader(file, strict=True))
+    except (OSError, ValueError, csv.Error) as error:
+        raise DataError(f"{path}: expected CSV: {error}") from None
+    expected = ["method", "material", "distance"]
+    if not rows or rows[0] != expected:
+        raise DataError(
+            f"{path}: line 1: expected {','.join(expected)}, found {','.join(rows[0]) if rows else 'nothing'}"
+        )
+    if len(rows) == 1:
+        raise DataError(f"{path}: expected opinions, found no row")
+    lines: dict[tuple[str, str], int] = {}
+    distance = []
+    for line, row in enumerate(rows[1:], 2):
+        if len(row) != 3 or not row[0] or not row[1]:
+            raise DataError(
+                f"{path}: line {line}: expected a method, a material and a distance, found {','.join(row)!r}"
+            )
+        value = _number(row[2])
+        if not 0 <= value <= 1:
+            raise DataError(f"{path}: line {line}: expected a distance from 0 to 1, found {row[2]!r}")
+        before = lines.setdefault((row[0], row[1]), line)
+        if before != line:
+            raise DataError(f"{path}: line {line}: {row[0]} of {row[1]} is already in line {before}")
+        distance.append(value)
+    methods, materials = map(list, zip(*lines, strict=True))
+    return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -1,0 +1,195 @@
+"""report.html of losses scored against human answers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchbrdf.files import write_text
+from torchbrdf.human import Subjects, Table
+from torchbrdf.human.table import ODD_METHOD
+from torchbrdf.report.drawing import COLORS, drawing, marked
+from torchbrdf.report.inline import png, template
+from torchbrdf.report.labels import Cell, loss_label
+
+TITLE = "Which BRDF metric agrees with people?"
+MADE_UP = "made-up answers: nobody was asked"
+RIVALS = ("cuberoot", "compressed")
+THEIRS = "lagunas_"
+_THEIRS = {
+    "lagunas_rms": "Lagunas' RMS",
+    "lagunas_rms_cos": "Lagunas' cosine RMS",
+    "lagunas_rms_cos_cube": "Lagunas' cube root",
+    "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
+    "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
+}
+
+
+@dataclass(frozen=True)
+class HumanPage:
+    """What the page has to say beside the numbers."""
+
+    made_up: bool
+    stand_in: bool
+    left_out: Sequence[str]
+    pairs: int
+    max_theta: float
+    replicates: int
+
+
+def write_human_report(folder: Path, table: Table, subjects: Subjects, said: HumanPage) -> Path:
+    """Draw the figure and write `report.html`; gives its path."""
+    figure = folder / "figures" / "agreement.png"
+    agreement_figure(figure, table, marked(said.stand_in, MADE_UP if said.made_up else ""))
+    opinions, triplets = subjects.opinions, subjects.triplets
+    page = template("human.html").render(
+        title=TITLE,
+        said=said,
+        findings=findings(table),
+        figure=png(figure),
+        tables=[
+            *_agreement_tables(table),
+            *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),
+        ],
+        questions=f"{len(triplets):,}",
+        ties=f"{int((~triplets.decided).sum()):,}",
+        materials=len(triplets.materials),
+        rows=len(opinions),
+        approximated=len(set(opinions.materials)),
+        methods=list(dict.fromkeys(opinions.methods)),
+        without=subjects.left_out,
+        odd=ODD_METHOD if ODD_METHOD in opinions.methods else "",
+        record=(folder / "recipe.json").read_text(encoding="utf-8"),
+    )
+    path = folder / "report.html"
+    write_text(path, page)
+    return path
+
+
+def label(name: str) -> str:
+    """A row's name for people."""
+    return _THEIRS.get(name) or loss_label(name)
+
+
+def findings(table: Table) -> list[str]:
+    """What the numbers say, in sentences."""
+    lines = []
+    own = [k for k, name in enumerate(table.losses) if not name.startswith(THEIRS)]
+    for s, one in enumerate(table.statistics):
+        known = [k for k in own if bool(table.value[k, s].isfinite())]
+        if not known or "_with_" in one.key:
+            continue
+        best = max(known, key=lambda k: float(table.value[k, s]))
+        limit = "" if one.ceiling is None else f"; people's own disagreement lets nothing pass {table.ceiling[s]:.3f}"
+        first = table.losses[best]
+        rivals = [table.losses[k] for k in known if k != best]
+        level = [label(name) for name in rivals if table.difference(first, name)[1][s] <= 0]
+        tied = f" Not clearly worse: {', '.join(level)}." if level else " It is clearly ahead of all others."
+        lines.append(
+            f"{one.label[0].upper()}{one.label[1:]}: best is {label(first)} with "
+            f"{table.value[best, s]:.3f} ({table.low[best, s]:.3f} to {table.high[best, s]:.3f}){limit}.{tied}"
+        )
+    return lines
+
+
+def agreement_figure(path: Path, table: Table, mark: str) -> None:
+    """A panel for each statistic: agreement of every loss with its interval, chance, and the ceiling."""
+    shown = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
+    rows = np.arange(len(table.losses))
+    with drawing(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
+        panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+        for panel, s in zip(panels, shown, strict=True):
+            for k, name in enumerate(table.losses):
+                value, low, high = (float(part[k, s]) for part in (table.value, table.low, table.high))
+                if np.isfinite(value):
+                    color = "#888888" if name.startswith(THEIRS) else COLORS.get(name, "#333333")
+                    panel.plot([low, high], [k, k], color=color, lw=2, alpha=0.6, solid_capstyle="butt")
+                    panel.plot(value, k, "o", color=color, ms=5)
+            panel.axvline(0.5, color="grey", lw=0.8, ls=":")
+            if table.statistics[s].ceiling is not None:
+                panel.axvspan(
+                    float(table.ceiling_low[s]), float(table.ceiling_high[s]), color="#9c3d00", alpha=0.12, lw=0
+                )
+                panel.axvline(float(table.ceiling[s]), color="#9c3d00", lw=1.2, ls="--")
+            panel.set_title(_wrapped(table.statistics[s].label), fontsize=8)
+            panel.set_xlabel("agreement")
+        panels[0].set_yticks(rows, [label(name) for name in table.losses])
+        panels[0].invert_yaxis()
+
+
+def _wrapped(text: str) -> str:
+    """In two lines or three."""
+    lines = [""]
+    for word in text.split():
+        if len(lines[-1]) + len(word) > 24:
+            lines.append("")
+        lines[-1] += (" " if lines[-1] else "") + word
+    return "\n".join(lines)
+
+
+def _agreement_tables(table: Table) -> list[dict[str, Any]]:
+    """Agreement with intervals and the ceilings; the columns with the odd method apart."""
+    plain = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
+    odd = [s for s, one in enumerate(table.statistics) if "_with_" in one.key]
+    note = (
+        "Share of comparisons that a loss orders as people do, with its 95 % interval over materials; 0.5 is chance. "
+        "Bold: the best. In the head: how many comparisons. Ceiling: what disagreement between people lets anything "
+        "reach."
+    )
+    tables = [{"title": "Agreement with people", "note": note, **_agreement(table, plain)}]
+    if odd:
+        note = (
+            f"As above, with {ODD_METHOD}: the pictures of its published parameters disagree with what people saw, "
+            "which shows in every loss."
+        )
+        tables.append({"title": f"With {ODD_METHOD}", "note": note, **_agreement(table, odd)})
+    return tables
+
+
+def _agreement(table: Table, columns: Sequence[int]) -> dict[str, Any]:
+    head = ["loss", *(f"{table.statistics[s].label} ({table.statistics[s].count:,})" for s in columns)]
+    rows = []
+    for k, name in enumerate(table.losses):
+        values = [table.value[k, s] for s in columns]
+        if not any(bool(value.isfinite()) for value in values):
+            continue
+        best = [bool(value == table.value[:, s].nan_to_num(-1).max()) for value, s in zip(values, columns, strict=True)]
+        rows.append(
+            [
+                Cell(label(name)),
+                *(
+                    Cell(_span(table.value[k, s], table.low[k, s], table.high[k, s]), top)
+                    for s, top in zip(columns, best, strict=True)
+                ),
+            ]
+        )
+    ends = (table.ceiling, table.ceiling_low, table.ceiling_high)
+    rows.append([Cell("ceiling: people"), *(Cell(_span(ends[0][s], ends[1][s], ends[2][s])) for s in columns)])
+    return {"head": head, "rows": rows}
+
+
+def _difference_table(table: Table, rival: str) -> dict[str, Any]:
+    """How much more often each loss agrees with people than one of them."""
+    columns = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
+    rows = []
+    for name in table.losses:
+        if name == rival or name.startswith(THEIRS):
+            continue
+        value, low, high = table.difference(name, rival)
+        rows.append(
+            [Cell(label(name)), *(Cell(_span(value[s], low[s], high[s], "+"), bool(low[s] > 0)) for s in columns)]
+        )
+    note = (
+        f"Agreement minus that of {label(rival)}, with the paired 95 % interval: both see the same drawn materials. "
+        "Bold: all of the interval is above 0."
+    )
+    head = ["loss", *(table.statistics[s].label for s in columns)]
+    return {"title": f"Better than {label(rival)}?", "note": note, "head": head, "rows": rows}
+
+
+def _span(value: Any, low: Any, high: Any, sign: str = "") -> str:
+    if not np.isfinite(float(value)):
+        return "none"
+    return f"{float(value):{sign}.3f} ({float(low):{sign}.3f} to {float(high):{sign}.3f})"
