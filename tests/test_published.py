@@ -166,6 +166,11 @@ def test_blinn_phong_is_of_the_half_vector(published: dict[str, PublishedFits]) 
     assert ward.materials == phong.materials
     alpha, n = ward.model.parts()[1].roughness, phong.model.parts()[1].exponent
     assert 0.8 < (n * alpha.square() / 2).median() < 1.6
+    for widths in (0.0, 0.25, 0.5, 1.0):  # the lobes themselves, near the normal
+        theta_h = torch.atan(widths * alpha)
+        pairs = Pairs.from_half_diff(theta_h, torch.full_like(theta_h, 0.1), torch.full_like(theta_h, math.pi / 2))
+        value, other = (fits.model.parts()[1](pairs) for fits in (phong, ward))
+        assert 0.7 < (value / other).median() < 1.4
 
 
 def test_ngan_lacks_the_channels(file: Path, published: dict[str, PublishedFits]) -> None:

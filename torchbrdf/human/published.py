@@ -21,8 +21,14 @@ from torchbrdf.lobes import LOBES, Lambert, Sum
 CHANNELS = (1.0, 1.15, 1.66)
 ORIGIN = "the fits of https://github.com/bsdfbenchmark/bbm, folder fits/, collected as one JSON file"
 NGAN = "A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126"
-LOW = "J. Low et al., BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces, 2012"
-BAGHER = "M. Bagher, C. Soler and N. Holzschuch, Accurate Fitting of Measured Reflectances Using SGD, 2012"
+LOW = (
+    "J. Low, J. Kronander, A. Ynnerman and J. Unger, BRDF Models for Accurate and Efficient Rendering of Glossy "
+    "Surfaces, 2012, doi:10.1145/2077341.2077350"
+)
+BAGHER = (
+    "M. Bagher, C. Soler and N. Holzschuch, Accurate Fitting of Measured Reflectances Using a Shifted Gamma "
+    "Micro-facet Distribution, 2012, doi:10.1111/j.1467-8659.2012.03147.x"
+)
 
 COLOR, NUMBER = (3,), (1,)
 Numbers = dict[str, Tensor]
