@@ -1,7 +1,9 @@
 """What every registered loss keeps to. A new loss needs a plain formula here, and gets the rest for free."""
 
 import inspect
+import json
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -39,12 +41,35 @@ def plain_cube_root(p: Array, t: Array, cos: Array, weight: Array) -> float:
     return np.sqrt(np.sum(weight * np.cbrt(((p - t) * cos) ** 2)) / np.sum(weight))
 
 
+def plain_learned(p: Array, t: Array, theta_h: Array, theta_d: Array, weight: Array) -> float:
+    """Bin after bin, with the weights that come with torchbrdf; weight (N,)."""
+    learned = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())["weights"]
+    d = (np.maximum(p, 0) + 1e-4) ** 0.25 - (np.maximum(t, 0) + 1e-4) ** 0.25
+    y = d @ np.array([0.2126, 0.7152, 0.0722])
+    centres_h, centres_d = [0, 5, 15, 35, 70], [15, 45, 75]
+    total, means = 0.0, np.zeros((4, 5, 3))
+    for h in range(5):
+        for k in range(3):
+            high = np.interp(np.degrees(theta_h), centres_h, np.eye(5)[h])
+            wide = np.interp(np.degrees(theta_d), centres_d, np.eye(3)[k])
+            held = weight * high * wide
+            held = held / (held.sum() + 1e-3 * weight.sum())
+            total += learned["pointwise"][h] * np.sum(held * (d**2).mean(1))
+            means[:, h, k] = [np.sum(held * x) for x in (y, *(d.T - y))]
+    for c, kind in enumerate(["luminance", "chroma", "chroma", "chroma"]):
+        between = [means[c, h] - means[c, g] for h in range(5) for g in range(h + 1, 5)]
+        total += np.sum(np.array(learned["mean"][kind]) * means[c] ** 2)
+        total += np.sum(np.array(learned["contrast"][kind]) * np.array(between) ** 2)
+    return np.sqrt(total)
+
+
 # Values (N, 3), cosine (N, 1) and weight (N, 3); the solid angle is put into the weight by the test.
 PLAIN: dict[str, Callable[..., float]] = {
     "rms": lambda p, t, cos, weight: rms(p - t, weight),
     "cosine": lambda p, t, cos, weight: rms((p - t) * cos, weight),
     "cuberoot": plain_cube_root,
     "compressed": plain_compressed,
+    "learned": plain_learned,
     "log": plain_log,
     "solid_angle_cosine": lambda p, t, cos, weight: rms((p - t) * cos, weight),
 }
@@ -76,6 +101,11 @@ def plain(name: str, prediction: Tensor, target: Tensor, pairs: Pairs, weight: T
     wi, wo = pairs.wi.numpy(), pairs.wo.numpy()
     weight = torch.ones_like(prediction) if weight is None else weight.expand(prediction.shape)
     weights = weight.numpy()
+    if name == "learned":
+        half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
+        theta_h = np.arctan2(np.hypot(half[:, 0], half[:, 1]), np.abs(half[:, 2]))
+        theta_d = np.arccos(np.clip(np.sum(half * wi, -1), -1, 1))
+        return plain_learned(prediction.numpy(), target.numpy(), theta_h, theta_d, weights[:, 0])
     if name == "solid_angle_cosine":
         half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
         theta_h, theta_d = np.arccos(np.abs(half[:, 2])), np.arccos(np.sum(half * wi, -1))
@@ -128,10 +158,12 @@ def test_nothing_between_equals(name: str, dtype: torch.dtype, exact: bool) -> N
     changed = target.clone()
     changed[:, 5:20] *= 1.5
     changed[:, 0] = -0.1
-    prediction = changed.requires_grad_()
-    (gradient,) = torch.autograd.grad(make(name, exact)(prediction, target, pairs).sum(), prediction)
+    prediction, loss = changed.requires_grad_(), make(name, exact)
+    (gradient,) = torch.autograd.grad(loss(prediction, target, pairs).sum(), prediction)
     assert gradient.isfinite().all()
-    assert (gradient[:, 7:20] > 0).all()
+    assert ((gradient * (prediction - target))[:, 7:20].sum((1, 2)) > 0).all()
+    if loss.analytic:  # one value has no say in how another counts
+        assert (gradient[:, 7:20] > 0).all()
 
 
 @every_loss

@@ -9,11 +9,11 @@ from torchbrdf.fitting.data import Data
 from torchbrdf.fitting.normal import SquaredError
 from torchbrdf.fitting.variables import Variable, decode, encode, evaluate, values_of
 from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum
-from torchbrdf.losses import LOSSES, CubeRootLoss, Loss, Problem
+from torchbrdf.losses import LOSSES, CubeRootLoss, GroupedLoss, Loss, Problem
 from torchbrdf.pairs import Pairs
 
 COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
-ANALYTIC = [name for name, loss in LOSSES.items() if loss.error is Loss.error]
+ANALYTIC = [name for name, loss in LOSSES.items() if loss.error is Loss.error or issubclass(loss, GroupedLoss)]
 
 
 def problem(materials, shared, weighted, count=300):
@@ -83,9 +83,10 @@ def test_value_and_gradient_are_autograds(name, loss_name, weighted, shared, kin
     assert torch.equal(error(x, rows, curvature=False)[1], gradient)
 
 
+@pytest.mark.parametrize("loss_name", ["compressed", "learned"])
 @pytest.mark.parametrize("name", COLORED)
-def test_the_matrix_is_the_hessian_of_a_least_squares_loss_at_an_exact_fit(name):
-    loss, model = LOSSES["compressed"](), model_of(name, 1)
+def test_the_matrix_is_the_hessian_of_a_least_squares_loss_at_an_exact_fit(name, loss_name):
+    loss, model = LOSSES[loss_name](), model_of(name, 1)
     given = problem(1, True, False)
     given = Problem(given.pairs, model(given.pairs).detach())
     values = values_of(model)

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from torchbrdf.fitting.variables import Values, Variable, decode
 from torchbrdf.lobes import Lobe
-from torchbrdf.losses import Loss, ObservedLoss
+from torchbrdf.losses import GroupedLoss, Loss, ObservedLoss
 from torchbrdf.pairs import Pairs
 
 
 def applies(model: Lobe, loss: Loss) -> bool:
     """Whether the model and the loss have the form that is used here."""
-    known = loss.analytic or isinstance(loss, ObservedLoss)
+    known = loss.analytic or isinstance(loss, GroupedLoss | ObservedLoss)
     return all(part.color() is not None for part in model.parts()) and known
 
 

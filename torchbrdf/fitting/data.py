@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torchbrdf.losses import Loss, Problem
+from torchbrdf.fitting.averages import Groups
+from torchbrdf.losses import GroupedLoss, Loss, Problem
 from torchbrdf.pairs import Pairs
 
 # Numbers (fits times pairs) that are worked on at a time: on a processor as many as its cache holds of some dozen
@@ -18,14 +19,16 @@ class Data:
 
     target: `(M, 3, N)`; weight: `(M|1, 1|3, N)` or None; total: the sum of weights over pairs and channels, `(M,)`;
     black: the squared error of a prediction that is 0 everywhere, `(M,)`; spread: the mean of the targets' magnitude,
-    `(M,)`; both are 1 where they would be 0 or there is no data, so that they can serve as units.
+    `(M,)`; both are 1 where they would be 0 or there is no data, so that they can serve as units. groups: those of a
+    loss that has some; they divide for themselves, so that total is 1.
     """
 
     def __init__(self, problem: Problem, loss: Loss) -> None:
         self.loss, self.pairs, self.chunks = loss, problem.pairs, Chunks(problem.pairs)
         materials, count = problem.target.shape[:2]
         self.target = problem.target.new_empty(materials, 3, count)
-        weight = loss.counted(self.pairs, problem.weight)
+        self.groups = Groups(problem, loss) if isinstance(loss, GroupedLoss) else None
+        weight = loss.counted(self.pairs, problem.weight) if self.groups is None else self.groups.weight
         self.weight = None if weight is None else weight.transpose(1, 2)
         sums = torch.zeros(3, materials, dtype=torch.float64, device=self.target.device)
         for part, pairs in chunked(self.pairs, materials):
@@ -39,8 +42,13 @@ class Data:
                 [one.sum((1, 2)).double() for one in (counted, black * counted, encoded.abs() * counted)]
             )
         self.total, black, size = sums
-        self.black = torch.where(black > 0, black / self.total, 1)
         self.spread = torch.where(size > 0, size / self.total, 1)
+        black = black / self.total
+        if self.groups is not None:
+            self.total = torch.ones_like(size)
+            dark = torch.zeros_like(problem.target)
+            black = loss.error(dark, problem.target, self.pairs, problem.weight).square()
+        self.black = torch.where(black > 0, black, 1)
 
     def __len__(self) -> int:
         return len(self.target)

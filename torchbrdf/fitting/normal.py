@@ -1,12 +1,14 @@
 """The squared error of many fits at once, with its gradient and the matrix of its normal equations.
 
 Every analytic loss is a mean of penalty(encode(f) - encode(target)), so that all derivatives follow from the columns:
-no graph, a handful of passes over pairs that lie in the processor's cache, and sums over pairs as matrix products.
+no graph, a handful of passes over pairs that lie in the processor's cache, and sums over pairs as matrix products. A
+loss of groups adds squares of residuals that are linear in averages of those differences.
 """
 
 import torch
 from torch import Tensor
 
+from torchbrdf.fitting.averages import Averages
 from torchbrdf.fitting.columns import ErrorOfFits
 from torchbrdf.fitting.data import Data
 
@@ -28,6 +30,7 @@ class SquaredError(ErrorOfFits):
         value = torch.zeros(len(rows), dtype=torch.float64, device=x.device)
         slopes = value.new_zeros(len(rows), 3, len(columns.used))
         grams: Tensor | None = None
+        averages = None if data.groups is None else Averages(data.groups, None if everyone else materials)
         for part, pairs in data.chunks(len(rows)):
             if pairs.shape[0] > 1 and not everyone:
                 pairs = pairs.select(materials)
@@ -36,11 +39,14 @@ class SquaredError(ErrorOfFits):
             target, weight = data.part(part, None if everyone else materials)
             encoded, rate = loss.encode_slope(prediction.transpose(1, 2), pairs)
             rate = rate.transpose(-1, -2)
-            penalty, slope, curve = loss.penalty_slope(encoded.transpose(1, 2) - target, width)
+            difference = encoded.transpose(1, 2) - target
+            penalty, slope, curve = loss.penalty_slope(difference, width)
             if weight is not None:
                 penalty, slope, curve = penalty * weight, slope * weight, curve * weight
             value += penalty.sum((1, 2)).double()
             basis = basis[:, : len(columns.used)]
+            if averages is not None:
+                averages.add(part, difference, rate, basis)
             slopes += torch.bmm(slope * rate, basis.transpose(1, 2)).double()
             if curvature:
                 curve = (curve * rate.square()).expand(len(rows), -1, basis.shape[2])
@@ -49,9 +55,16 @@ class SquaredError(ErrorOfFits):
                 grams = gram if grams is None else grams + gram
         norm = data.total.expand(len(data))[materials] * self.scale[rows]
         jacobian = columns.jacobian(here, colors.double())
-        gradient = torch.einsum("rcq,rcqp->rp", slopes, jacobian) / norm[:, None]
+        gradient = torch.einsum("rcq,rcqp->rp", slopes, jacobian)
+        if averages is not None:
+            residual, moved = averages.residuals(jacobian)
+            value += residual.square().sum(1)
+            gradient += 2 * (moved @ residual[..., None])[..., 0]
+        gradient /= norm[:, None]
         if grams is None:
             return value / norm, gradient, gradient.new_empty(0)
         grams = grams.unflatten(1, (-1, grams.shape[2])).expand(-1, 3, -1, -1)
         matrix = torch.einsum("rcqp,rcqs->rps", jacobian, grams @ jacobian)
+        if averages is not None:
+            matrix += 2 * moved @ moved.mT
         return value / norm, gradient, matrix / norm[:, None, None]

@@ -1,9 +1,11 @@
-"""How values on Pairs are compared: analytic losses. A loss a file. Importing them costs no more than torch."""
+"""How values on Pairs are compared: formulas, and a learned metric. A loss a file. Importing them costs little."""
 
 from torchbrdf.losses.base import LOSSES, LeastSquares, Loss, Problem
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
+from torchbrdf.losses.grouped import GroupedLoss, Grouping
+from torchbrdf.losses.learned import LearnedLoss
 from torchbrdf.losses.log import LogLoss
 from torchbrdf.losses.observed import ObservedLoss
 from torchbrdf.losses.rms import RMSLoss
@@ -14,6 +16,9 @@ __all__ = [
     "CompressedLoss",
     "CosineRMSLoss",
     "CubeRootLoss",
+    "GroupedLoss",
+    "Grouping",
+    "LearnedLoss",
     "LeastSquares",
     "LogLoss",
     "Loss",

@@ -1,0 +1,216 @@
+"""A distance between BRDFs whose weights were learned from what people answered."""
+
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError
+from torchbrdf.losses.base import LOSSES, Reduction
+from torchbrdf.losses.grouped import FADE, GroupedLoss
+from torchbrdf.pairs import Pairs
+
+FLOOR = 1e-4
+"""Added to values, in 1/sr, before the fourth root: how dark a difference can be before it no longer counts."""
+THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
+THETA_D = (15.0, 45.0, 75.0)
+"""Centres of the soft bins, in degrees."""
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+ROWS, COLUMNS = len(THETA_H), len(THETA_D)
+BINS = ROWS * COLUMNS
+HEIGHTS = tuple(combinations(range(ROWS), 2))
+KINDS = ("luminance", "chroma")
+SHAPES = {"mean": (ROWS, COLUMNS), "contrast": (len(HEIGHTS), COLUMNS)}
+POINTWISE = "pointwise"
+BUNDLED = "learned_metric.json"
+
+
+@LOSSES.register("learned")
+class LearnedLoss(GroupedLoss):
+    """sqrt(P + M + K), a norm of the differences d_c = e(M_c) - e(A_c), e(x) = (max(x, 0) + FLOOR)^(1/4).
+
+    Shapes as `Loss`. Each pair has a luminance difference y = sum_c l_c d_c (l: `LUMINANCE`; 1/C each if there are not
+    three channels) and C chroma differences d_c - y. < >_hk is the weighted average over the pairs in the soft bin h of
+    theta_h and k of theta_d (hat functions between the centres `THETA_H` and `THETA_D`), and every w is a learned
+    weight of at least 0, those of M and K one for luminance and one for chroma:
+
+    - pointwise: P = sum_hk w_h <mean_c d_c^2>_hk, what differs anywhere;
+    - mean: M = sum_hk w_hk <y>_hk^2 + w'_hk sum_c <d_c - y>_hk^2, what differs on average in a bin: the brightness and
+      the colour of lobe and body;
+    - contrast: K = sum_hgk w_hgk (<y>_hk - <y>_gk)^2 + the same of chroma, for every two bins h < g of theta_h: how the
+      lobe falls off, and how it stands out from the body.
+
+    Symmetric; 0 for equal values only, as far as e and the pairs see them; it obeys the triangle inequality, and grows
+    in proportion along a straight path of e. A common factor s on all values multiplies it by s^(1/4) while values are
+    well above FLOOR: the factor that MERL tables carry matters. No cosine is in it: the bins say how much an angle
+    counts. Bins are averages, so the choice of pairs matters little where their weights are passed; a bin without pairs
+    adds nothing. Weights that differ by channel weigh luminance, and scale the chroma of a channel by w_c / max_c w_c.
+
+    weights: None for those that come with torchbrdf, the path of a `metric.json`, or what such a file holds. Unit: the
+    mean distance between two of the materials that they were learned from; `provenance` says which.
+
+    Source: this project; trained (recipe train_metric) on the answers of M. Lagunas et al. 2019,
+    doi:10.1145/3306346.3323036, and G. Lavoue et al. 2021, doi:10.1111/cgf.142636. The probit likelihood of
+    comparisons is L. L. Thurstone's, A law of comparative judgment, 1927.
+    """
+
+    needs = ("theta_h", "theta_d")
+
+    def __init__(self, reduction: Reduction = "mean", weights: str | Path | Mapping[str, Any] | None = None) -> None:
+        super().__init__(reduction)
+        data = read_weights(weights)
+        self.provenance: dict[str, Any] = dict(data.get("provenance", {}))
+        pointwise, averages = arrange(data["weights"])
+        self.average_weight: Tensor
+        self.factor: Tensor
+        self.register_buffer("square_weight", pointwise)
+        self.register_buffer("average_weight", averages)
+        self.register_buffer("factor", factor(averages, 3), persistent=False)
+
+    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """(max(M, 0) + FLOOR)^(1/4)."""
+        return encode(values)
+
+    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """1/4 (M + FLOOR)^(-3/4), 0 for values of 0 or less."""
+        encoded = encode(values)
+        return encoded, torch.where(values > 0, 0.25 / encoded.pow(3), 0)
+
+    def groups(self, pairs: Pairs) -> Tensor:
+        """`soft_bins`."""
+        return soft_bins(pairs)
+
+    def root(self, channels: int) -> Tensor:
+        """`factor` of the weights."""
+        return self.factor if channels == 3 else factor(self.average_weight, channels)
+
+    def even(self, difference: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """The luminance becomes that of the channels by their weights, each chroma that by its share of the largest."""
+        if weight is None or weight.dim() == 0 or weight.shape[-1] == 1:
+            return difference, weight
+        largest = weight.amax(-1, keepdim=True)
+        share = torch.where(largest > 0, weight / torch.where(largest > 0, largest, 1), 1)
+        lightness = luminance(difference) * share
+        y = (lightness * difference).sum(-1, keepdim=True) / lightness.sum(-1, keepdim=True)
+        return y + share * (difference - y), largest
+
+
+def encode(values: Tensor) -> Tensor:
+    """(max(x, 0) + FLOOR)^(1/4), whose slope is finite everywhere."""
+    raised = values.clamp_min(0).add_(FLOOR)
+    return raised.sqrt().sqrt() if raised.requires_grad else raised.sqrt_().sqrt_()
+
+
+def soft_bins(pairs: Pairs) -> Tensor:
+    """How much of each pair lies in each bin, `(..., N, BINS)`, theta_h slowest; the shares of a pair add up to 1."""
+    high, wide = (_hats(angle, centres) for angle, centres in ((pairs.theta_h, THETA_H), (pairs.theta_d, THETA_D)))
+    return (high[..., :, None] * wide[..., None, :]).flatten(-2)
+
+
+def _hats(angle: Tensor, centres: tuple[float, ...]) -> Tensor:
+    """Piecewise linear functions that are 1 at one centre and 0 at the others, constant outside, `(..., N, K)`."""
+    degrees = angle.rad2deg()
+    rises = [((degrees - low) / (high - low)).clamp(0, 1) for low, high in pairwise(centres)]
+    one, none = torch.ones_like(degrees), torch.zeros_like(degrees)
+    return torch.stack([a - b for a, b in zip([one, *rises], [*rises, none], strict=True)], -1)
+
+
+def luminance(values: Tensor) -> Tensor:
+    """The share of each channel of values in luminance, `(C,)`."""
+    channels = values.shape[-1]
+    return values.new_tensor(LUMINANCE if channels == 3 else [1 / channels] * channels)
+
+
+def contrasts(means: Tensor) -> Tensor:
+    """Averages `(..., C, BINS)` as those of luminance and of each channel's chroma, and then their differences between
+    two bins of theta_h, `(..., 1 + C, BINS + differences)`."""
+    lightness = (luminance(means.mT) @ means)[..., None, :]
+    means = torch.cat([lightness, means - lightness], -2)
+    one, other = torch.tensor(HEIGHTS, device=means.device).unbind(1)
+    rows = means.unflatten(-1, (ROWS, COLUMNS))
+    return torch.cat([means, (rows[..., one, :] - rows[..., other, :]).flatten(-2)], -1)
+
+
+def factor(weight: Tensor, channels: int) -> Tensor:
+    """The matrix whose product with averages, flat, has the square that is M + K; weight: `(2, K)`, of luminance and
+    chroma."""
+    unit = torch.eye(channels * BINS, dtype=weight.dtype, device=weight.device).unflatten(-1, (channels, BINS))
+    root = torch.cat([weight[:1], weight[1:].expand(channels, -1)]).sqrt()
+    return (contrasts(unit) * root).flatten(-2)
+
+
+def terms(difference: Tensor, pairs: Pairs) -> Tensor:
+    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `named`; difference: `(..., N, C)`."""
+    bins = soft_bins(pairs).to(difference)
+    held = bins.sum(-2, keepdim=True, dtype=torch.float64)
+    held = held + FADE * held.sum(-1, keepdim=True)
+    squares = difference.square().mean(-1)[..., None, :] @ bins / held
+    parts = contrasts((difference.mT @ bins).double() / held).square()
+    pointwise = squares[..., 0, :].unflatten(-1, (ROWS, COLUMNS)).sum(-1)
+    return torch.cat([pointwise, parts[..., 0, :], parts[..., 1:, :].sum(-2)], -1)
+
+
+def arrange(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
+    """Weights by name as those of mean squares `(BINS,)` and of averages `(2, K)`, float64."""
+    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64).repeat_interleave(COLUMNS)
+    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in KINDS]
+    return pointwise, torch.stack([torch.cat([part.flatten() for part in row]) for row in rows])
+
+
+def named(weights: Tensor) -> dict[str, Any]:
+    """Weights `(T,)` in the order of `terms`, by name, to four digits."""
+    rounded = torch.tensor([float(f"{value:.4g}") for value in weights.tolist()], dtype=torch.float64)
+    found: dict[str, Any] = {POINTWISE: rounded[:ROWS].tolist()} | {name: {} for name in SHAPES}
+    for kind, row in zip(KINDS, rounded[ROWS:].chunk(2), strict=True):
+        start = 0
+        for name, (rows, columns) in SHAPES.items():
+            found[name][kind] = row[start : start + rows * columns].reshape(rows, columns).tolist()
+            start += rows * columns
+    return found
+
+
+def read_weights(weights: str | Path | Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """The content of a `metric.json`, checked; None: that which comes with torchbrdf."""
+    where, data = "weights", weights
+    if not isinstance(weights, Mapping):
+        source = files("torchbrdf.assets") / BUNDLED if weights is None else Path(weights)
+        where = str(source)
+        try:
+            data = json.loads(source.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise DataError(f"{where}: expected the JSON of a learned metric: {str(error).splitlines()[0]}") from None
+    if not isinstance(data, Mapping) or not isinstance(data.get("weights"), Mapping):
+        raise DataError(f"{where}: expected an object with weights, as the recipe train_metric writes it")
+    for key, expected in form().items():
+        if data.get(key, expected) != expected:
+            raise DataError(f"{where}: {key}: expected {expected}, found {data[key]!r}")
+    _check_part(data["weights"], (POINTWISE,), (ROWS,), where)
+    for name, shape in SHAPES.items():
+        for kind in KINDS:
+            _check_part(data["weights"], (name, kind), shape, where)
+    if not any(weight.any() for weight in arrange(data["weights"])):
+        raise DataError(f"{where}: expected a weight above 0, found none")
+    return data
+
+
+def form() -> dict[str, Any]:
+    """What the weights of a `metric.json` are the weights of."""
+    return {"floor": FLOOR, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}
+
+
+def _check_part(weights: Any, names: tuple[str, ...], shape: tuple[int, ...], where: str) -> None:
+    expected = f"{where}: {', '.join(names)}: expected {' x '.join(map(str, shape))} numbers of at least 0"
+    try:
+        for name in names:
+            weights = weights[name]
+        part = torch.tensor(weights, dtype=torch.float64)
+    except (KeyError, TypeError, ValueError):
+        raise DataError(expected) from None
+    if part.shape != shape or not bool((part.isfinite() & (part >= 0)).all()):
+        raise DataError(expected)
