@@ -13,16 +13,14 @@ import torch
 from torchbrdf.errors import TorchbrdfError, UsageError
 from torchbrdf.files import replacing, write_text
 from torchbrdf.human import (
-    METHODS,
+    FACTORS,
     Distances,
     Seen,
     Subjects,
     Table,
     gather,
     read_lagunas,
-    read_opinions,
-    read_published,
-    read_triplets,
+    read_subjects,
     score_opinions,
     score_triplets,
     statistics_of,
@@ -31,7 +29,6 @@ from torchbrdf.human import (
 )
 from torchbrdf.human.made_up import made_up
 from torchbrdf.losses import LOSSES, Loss
-from torchbrdf.measured import load
 from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.render import Environment, RenderedLoss, Scene, View, sphere
@@ -50,6 +47,12 @@ class HumanBenchmark(Recipe):
     materials: str = field(default="", metadata={"help": "a folder with the 100 MERL tables"})
     human: str = field(default="", metadata={"help": "a folder with the answers"})
     fits: str = field(default="published_fits.json", metadata={"help": "published parameters of approximations"})
+    factors: str = field(
+        default="npf.bin",
+        metadata={
+            "help": f"non-parametric factors of approximations, method {FACTORS}; left out where there is no such file"
+        },
+    )
     triplets: str = field(default="lagunas2019_triplets_train.json", metadata={"help": "a file in `human`"})
     opinions: str = field(default="lavoue2021_distances_train.csv", metadata={"help": "a file in `human`"})
     losses: tuple[str, ...] = field(default=(), metadata={"help": "losses to score; none: all that are registered"})
@@ -104,6 +107,7 @@ class HumanBenchmark(Recipe):
         said = HumanPage(
             made_up=self.quick,
             stand_in=stand_in,
+            images=self.images,
             left_out=left_out,
             pairs=len(pairs),
             max_theta=self.max_theta,
@@ -112,15 +116,7 @@ class HumanBenchmark(Recipe):
         return write_human_report(folder.path, table, subjects, said)
 
     def _subjects(self) -> Subjects:
-        human = Path(self.human)
-        fits = Path(self.fits)
-        sets = read_published(fits if fits.is_file() else human / fits, dtype=torch.float64)
-        models = {method: sets[name] for method, name in METHODS.items() if name in sets}
-        triplets, opinions = read_triplets(human / self.triplets), read_opinions(human / self.opinions)
-        measured = load(self.materials)
-        wanted = {*triplets.materials, *opinions.materials}
-        measured = measured.batch([k for k, name in enumerate(measured.names) if name in wanted])
-        return Subjects(measured, triplets, opinions, models)
+        return read_subjects(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
 
     def _score(
         self,
@@ -132,14 +128,17 @@ class HumanBenchmark(Recipe):
         left_out: list[str],
     ) -> None:
         """Distances of these losses, read where they are stored, else worked out and stored."""
+        rows = len(subjects.opinions)
         stored = {name: folder.path / "distances" / f"{name}.npz" for name in losses}
-        if all(path.is_file() for path in stored.values()):
-            scored |= {name: _read(path) for name, path in stored.items()}
+        known = {name: found for name, path in stored.items() if (found := _read(path, rows))}
+        if len(known) == len(losses):
+            scored |= known
             return
         seen = see()
         advance = folder.progress("losses", len(losses))
         for name, loss in losses.items():
-            if not stored[name].is_file():
+            found = known.get(name)
+            if found is None:
                 try:
                     found = Distances(score_triplets(loss, seen, subjects.triplets), score_opinions(loss, seen))
                 except TorchbrdfError as error:
@@ -150,7 +149,7 @@ class HumanBenchmark(Recipe):
                 with replacing(stored[name]) as path, path.open("wb") as file:
                     np.savez_compressed(file, **{key: part.numpy() for key, part in vars(found).items()})
                 folder.log(f"{name} is scored")
-            scored[name] = _read(stored[name])
+            scored[name] = found
 
 
 def _leave_out(folder: RunFolder, left_out: list[str], name: str, error: TorchbrdfError) -> None:
@@ -162,9 +161,13 @@ def _watcher(subjects: Subjects, scene: Scene, loss: RenderedLoss) -> Callable[[
     return lambda: gather(subjects, scene.pairs.to(dtype=torch.float32), loss)
 
 
-def _read(path: Path) -> Distances:
+def _read(path: Path, rows: int) -> Distances | None:
+    """Stored distances; None where there are none, or of another number of opinions: files come and go."""
+    if not path.is_file():
+        return None
     with np.load(path) as parts:
-        return Distances(torch.from_numpy(parts["triplets"]), torch.from_numpy(parts["opinions"]))
+        found = Distances(torch.from_numpy(parts["triplets"]), torch.from_numpy(parts["opinions"]))
+    return found if found.opinions is not None and len(found.opinions) == rows else None
 
 
 def _write(folder: Path, table: Table) -> None:

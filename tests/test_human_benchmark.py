@@ -4,10 +4,13 @@ import csv
 import json
 import re
 
+import numpy as np
 import pytest
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.losses import LOSSES
+from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.recipe import RECIPES, configure, run
 
 SETTINGS = {"quick": "true", "images": "true"}
@@ -49,6 +52,7 @@ def test_the_page_says_in_large_letters_that_nobody_was_asked(out):
     assert re.search(r'class="made">MADE-UP ANSWERS\. Nobody was asked', page) and "font-size: 2em" in page
     for words in ("Stand-ins.", "95&nbsp;%", "ceiling: people", "Better than cube root?", "data:image/png"):
         assert words in page
+    assert "images=true" not in page and "<title>" in page and page.count("<h1>") == 1
     assert "http://" not in page and "https://" not in page
 
 
@@ -97,4 +101,43 @@ def test_a_loss_that_fails_is_left_out_with_a_word(tmp_path, monkeypatch, caplog
     monkeypatch.setattr(LOSSES["log"], "forward", fails)
     report = run(benchmark(quick="true", losses="rms,log"), tmp_path / "out")
     assert "log is left out: not today" in caplog.text and "log: not today" in report.read_text()
+    assert "Rendered-image losses were not scored" in report.read_text()
     assert {r["loss"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())} == {"rms"}
+
+
+def study(folder):
+    """Files of a study about 100 diffuse materials, with approximations of ten; settings that name them."""
+    generator = np.random.default_rng(0)
+    names = sorted(MERL_NAMES, key=lambda name: f"{name}.binary")
+    model = Sum(Lambert(), Ward())
+    records = [{"material": name, "model": "ward", "lobes": 1, "parameters": parameters(model)} for name in names]
+    write_fits(folder / "materials.json", records)
+    questions = [generator.permutation(100)[:3].tolist() for _ in range(100)]
+    votes = [[int(first), 5 - int(first)] for first in generator.integers(0, 6, 100)]
+    (folder / "triplets.json").write_text(json.dumps({"answers": questions, "agreement": votes}))
+    rows = [f"{method},{name},{generator.random()}\n" for method in ("WARD", "SGD", "BAGHER") for name in names[:10]]
+    (folder / "opinions.csv").write_text("method,material,distance\n" + "".join(rows))
+    fits = {
+        name: {"model": "NganWard", "diffuse": [0.1, 0.2, 0.3], "specular": [shine] * 3, "roughness": 0.1}
+        for name, shine in zip(names[:10], generator.uniform(0.01, 0.1, 10), strict=True)
+    }
+    (folder / "fits.json").write_text(json.dumps({"ngan_ward": fits}))
+    settings = {"materials": str(folder / "materials.json"), "human": str(folder), "fits": "fits.json"}
+    return settings | {"triplets": "triplets.json", "opinions": "opinions.csv", "losses": "rms", "samples": "50"}
+
+
+def test_factors_are_one_more_method_where_there_is_a_file(tmp_path):
+    settings = study(tmp_path)
+
+    def keys():
+        page = run(benchmark(replicates="50", **settings), tmp_path / "out").read_text()
+        return {r["statistic"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())}, page
+
+    found, page = keys()
+    assert found == {"majority", "votes", "across"}
+    assert "Left out: BAGHER, SGD." in page and "With BAGHER" not in page
+    factors = np.random.default_rng(1).uniform(0.1, 1, (256, 512, 3)).astype("<f4")
+    (tmp_path / "npf.bin").write_bytes(factors.tobytes())
+    found, page = keys()  # the distances that are stored are of too few opinions
+    assert found == {"majority", "votes", "across", "pairs_with_bagher", "across_with_bagher", "apart_with_bagher"}
+    assert "Left out: SGD." in page and "<h3>With BAGHER</h3>" in page and "Without BAGHER." in page

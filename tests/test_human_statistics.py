@@ -234,6 +234,22 @@ def test_a_table_has_values_intervals_and_paired_differences():
     assert torch.equal(again.low, table.low) or bool(again.low.isnan().any())
 
 
+def test_each_method_that_is_apart_is_added_alone():
+    triplets, opinions = some_triplets(9, 400), some_opinions(10, "UVWX")
+    columns = {one.key: one for one in statistics_of(triplets, opinions, without=("X", "Y", "U"))}
+    assert list(columns)[5:] == [f"{key}_with_{added}" for added in "xu" for key in ("pairs", "apart", "across")]
+    predicted = some_opinions(11, "UVWX").distance
+    table = tabulate(list(columns.values()), {"some": Distances(None, predicted)}, 50)
+    for added, methods in (("", "VW"), ("X", "VWX"), ("U", "VWU")):
+        one = columns["across" + (f"_with_{added.lower()}" if added else "")]
+        rows = [row for row, method in enumerate(opinions.methods) if method in methods]
+        own = across_materials(opinions.select(rows))
+        assert one.added == added and one.label.endswith(f", with {added}" if added else "across materials")
+        share = own.share(own.right(predicted[rows][None]))
+        assert float(table.value[0, list(columns).index(one.key)]) == pytest.approx(float(share), rel=1e-12)
+    assert [one.key for one in statistics_of(triplets, opinions)] == list(columns)[:5]  # none of those that are apart
+
+
 def test_what_others_computed_on_measured_tables(data):
     """Majority agreement of the distances by Lagunas et al., and the ceiling of single votes, as issue 6 has them."""
     triplets = read_triplets(data / "human" / "lagunas2019_triplets_train.json")

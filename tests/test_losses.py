@@ -41,10 +41,10 @@ def plain_cube_root(p: Array, t: Array, cos: Array, weight: Array) -> float:
     return np.sqrt(np.sum(weight * np.cbrt(((p - t) * cos) ** 2)) / np.sum(weight))
 
 
-def plain_learned(p: Array, t: Array, theta_h: Array, theta_d: Array, weight: Array) -> float:
-    """Bin after bin, with the weights that come with torchbrdf; weight (N,)."""
+def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array, weight: Array) -> float:
+    """Bin after bin, with the weights that come with torchbrdf; cos (N, 1), weight (N,)."""
     learned = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())["weights"]
-    d = (np.maximum(p, 0) + 1e-4) ** 0.25 - (np.maximum(t, 0) + 1e-4) ** 0.25
+    d = (np.maximum(p, 0) * cos + 1e-4) ** 0.25 - (np.maximum(t, 0) * cos + 1e-4) ** 0.25
     y = d @ np.array([0.2126, 0.7152, 0.0722])
     centres_h, centres_d = [0, 5, 15, 35, 70], [15, 45, 75]
     total, means = 0.0, np.zeros((4, 5, 3))
@@ -105,7 +105,8 @@ def plain(name: str, prediction: Tensor, target: Tensor, pairs: Pairs, weight: T
         half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
         theta_h = np.arctan2(np.hypot(half[:, 0], half[:, 1]), np.abs(half[:, 2]))
         theta_d = np.arccos(np.clip(np.sum(half * wi, -1), -1, 1))
-        return plain_learned(prediction.numpy(), target.numpy(), theta_h, theta_d, weights[:, 0])
+        cosines = np.maximum(wi[:, 2:], 0) * np.maximum(wo[:, 2:], 0)
+        return plain_learned(prediction.numpy(), target.numpy(), cosines, theta_h, theta_d, weights[:, 0])
     if name == "solid_angle_cosine":
         half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
         theta_h, theta_d = np.arccos(np.abs(half[:, 2])), np.arccos(np.sum(half * wi, -1))

@@ -100,11 +100,40 @@ def lesson_of(subjects: Subjects, seen: Seen, leave_out: Collection[str] = ()) -
     )
 
 
+def lesson_of_choices(names: list[str], stimuli: list[str], seen: Seen, pairs: Tensor, votes: Tensor) -> Lesson:
+    """Which of two approximations of a material observers found closer to it.
+
+    names: of the materials that `seen` has; stimuli: the name of each of its R approximations. pairs: places of two of
+    these, `(C, 2)` long; votes: how many chose either, `(C, 2)`.
+    """
+    if not len(pairs):
+        raise DataError("a lesson: expected choices, found none")
+    methods = sorted(set(stimuli))
+    rows = torch.arange(len(stimuli))
+    first, second = pairs.unbind(1)
+    cast = votes.double()
+    material = seen.target[first][:, None]
+    swap = votes[:, 1] > votes[:, 0]
+    decided = votes[:, 0] != votes[:, 1]
+    near, far = torch.where(swap, second, first)[decided], torch.where(swap, first, second)[decided]
+    plain = torch.ones(len(near), dtype=torch.float64), torch.zeros_like(near)
+    return Lesson(
+        names,
+        methods,
+        terms_of(seen, seen.approximations, rows, seen.target),
+        rows,
+        seen.target,
+        torch.tensor([methods.index(name) for name in stimuli], dtype=torch.long),
+        {"choices": Asked(first, second, cast[:, 0] / cast.sum(1), cast.sum(1), material)},
+        {"choices": Comparisons(near, far, material[decided], *plain)},
+    )
+
+
 def terms_of(seen: Seen, values: Tensor, first: Tensor, second: Tensor) -> Tensor:
     """The terms of the distances of values `(R, n, 3)`, at these places, from materials, `(E, T)`, float64."""
     if seen.pairs is None:
         raise UsageError("a lesson: expected values on pairs")
-    one, other = encode(values), encode(seen.materials)
+    one, other = encode(values, seen.pairs), encode(seen.materials, seen.pairs)
     parts = zip(first.split(_HELD), second.split(_HELD), strict=True)
     found = [terms(one[i] - other[j], seen.pairs).double() for i, j in parts]
     return torch.cat(found)

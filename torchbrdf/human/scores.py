@@ -6,12 +6,11 @@ from functools import cached_property
 from typing import Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.human.opinions import Opinions
 from torchbrdf.human.triplets import Triplets
-from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, ObservedLoss
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -30,8 +29,8 @@ class Approximation(Protocol):
 
     @property
     def materials(self) -> list[str]: ...
-    def of(self, materials: Sequence[str]) -> Lobe:
-        """A batched model of these materials, in this order."""
+    def of(self, materials: Sequence[str]) -> nn.Module:
+        """A batched model of these materials, in this order, that gives values on pairs."""
         ...
 
 

@@ -8,12 +8,15 @@ import torch
 from torch import Tensor
 
 from torchbrdf.human import statistics
+from torchbrdf.human.factors import FACTORS
 from torchbrdf.human.opinions import Opinions
 from torchbrdf.human.statistics import Comparisons
 from torchbrdf.human.triplets import Triplets
 
 ODD_METHOD = "ABC"
-"""A method whose published parameters look otherwise than what people saw: reported with it and without it."""
+"""A method whose published parameters look otherwise than what people saw."""
+APART = (FACTORS, ODD_METHOD)
+"""Methods that the main columns leave out; others have each of them back, one at a time."""
 
 LABELS = {
     "majority": "triplets: majority",
@@ -27,7 +30,8 @@ LABELS = {
 @dataclass(frozen=True)
 class Statistic:
     """One column. rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what
-    disagreement between people lets anything reach of each comparison, or None if it is about no single answers."""
+    disagreement between people lets anything reach of each comparison, or None if it is about no single answers.
+    added: the method that it has beside those of the main columns."""
 
     key: str
     label: str
@@ -36,6 +40,7 @@ class Statistic:
     ceiling: Tensor | None
     materials: int
     rows: Tensor | None = None
+    added: str = ""
 
     @property
     def count(self) -> int:
@@ -96,8 +101,8 @@ class Table:
         ]
 
 
-def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = (ODD_METHOD,)) -> list[Statistic]:
-    """All columns: those of the triplets, those of the opinions without some methods, and then with all of them.
+def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = APART) -> list[Statistic]:
+    """All columns: those of the triplets, of the opinions without some methods, and then with each of these added.
 
     A statistic without any comparison is left out.
     """
@@ -113,15 +118,15 @@ def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str]
             count,
         ),
     ]
-    odd = [method for method in without if method in opinions.methods]
-    rows = [row for row, method in enumerate(opinions.methods) if method not in odd]
-    found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long), "", "")
-    if odd:
-        found += _of_opinions(opinions, None, f"_with_{'_'.join(odd).lower()}", f", with {', '.join(odd)}")
+    apart = [method for method in without if method in opinions.methods]
+    for added in ("", *apart):
+        rows = [row for row, method in enumerate(opinions.methods) if method == added or method not in apart]
+        found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long), added)
     return [one for one in found if len(one.comparisons)]
 
 
-def _of_opinions(opinions: Opinions, rows: Tensor | None, suffix: str, said: str) -> list[Statistic]:
+def _of_opinions(opinions: Opinions, rows: Tensor, added: str) -> list[Statistic]:
+    suffix, said = (f"_with_{added.lower()}", f", with {added}") if added else ("", "")
     made = {
         "pairs": statistics.same_material(opinions),
         "apart": statistics.same_material(opinions, apart=True),
@@ -137,6 +142,7 @@ def _of_opinions(opinions: Opinions, rows: Tensor | None, suffix: str, said: str
             statistics.expected_order(comparisons, opinions),
             materials,
             rows,
+            added,
         )
         for key, comparisons in made.items()
     ]

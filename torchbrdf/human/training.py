@@ -19,10 +19,11 @@ SHARE = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
 SLOPE = {"triplets": 3.0, "pairs": 6.0, "across": 6.0, "choices": 6.0}
 # How often people answer at random; keeps one answer from counting without limit.
 LAPSE = 0.02
-# Training starts with this share of the metric on pointwise differences, and what it costs to leave the start: answers
-# about averages alone would let a spike hide in a bin, which nobody was shown.
-POINTWISE = 0.5
-PULL = 0.05
+# The least share of pointwise terms in all weights: what people were asked about has hardly any spikes, and averages
+# alone would let a fit hide them in a bin.
+LEAST = 0.1
+# What it costs roots of weights to leave the start, where all are equal.
+PULL = 0.03
 
 
 @dataclass(frozen=True)
@@ -69,16 +70,17 @@ def mismatch(lesson: Lesson, asked: Mapping[str, Asked], weights: Tensor, slopes
 
 
 def train(lesson: Lesson, split: Split, iterations: int) -> Course:
-    """L-BFGS on what a split learns from; the rest judges.
+    """L-BFGS from equal weights on what a split learns from; the rest judges.
 
-    Weights are squares, so at least 0; terms are taken in units of their means. `POINTWISE` and `PULL` say where it
-    starts, and what holds it there. There is nothing random in it; early stopping is the choice of an iteration.
+    Weights are squares, so at least 0, and the pointwise ones have a share of `LEAST` of their sum; terms are taken in
+    units of their means. There is nothing random in it; early stopping is the choice of an iteration.
     """
     unit = units(lesson)
     scaled = Lesson(**{**vars(lesson), "terms": lesson.terms / unit})
-    start = torch.full_like(unit, (1 - POINTWISE) / (len(unit) - ROWS)).sqrt()
-    start[:ROWS] = (POINTWISE / ROWS) ** 0.5
+    start = torch.full_like(unit, len(unit) ** -0.5)
     roots = start.clone().requires_grad_()
+    share = torch.zeros_like(unit)
+    share[:ROWS] = LEAST / (1 - LEAST) / ROWS
     slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     parts = [
         {name: within(lesson, own, split, seen=seen) for name, own in lesson.asked.items()} for seen in (True, False)
@@ -87,9 +89,12 @@ def train(lesson: Lesson, split: Split, iterations: int) -> Course:
         [roots, slopes], max_iter=1, max_eval=40, history_size=20, line_search_fn="strong_wolfe"
     )
 
+    def weighing() -> Tensor:
+        return roots.square() + share * roots.square().sum()
+
     def closure() -> Tensor:
         optimizer.zero_grad()
-        value = mismatch(scaled, parts[0], roots.square(), slopes) + PULL * (roots - start).square().sum()
+        value = mismatch(scaled, parts[0], weighing(), slopes) + PULL * (roots - start).square().sum()
         value.backward()
         return value
 
@@ -97,7 +102,7 @@ def train(lesson: Lesson, split: Split, iterations: int) -> Course:
     for _ in range(iterations):
         optimizer.step(closure)
         with torch.no_grad():
-            now = roots.square()
+            now = weighing()
             curve.append(torch.stack([mismatch(scaled, part, now, slopes) for part in parts]))
             weights.append(now / unit)
     return Course(torch.stack(curve), torch.stack(weights))

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.losses.base import LOSSES, Reduction
 from torchbrdf.losses.grouped import FADE, GroupedLoss
 from torchbrdf.pairs import Pairs
 
 FLOOR = 1e-4
-"""Added to values, in 1/sr, before the fourth root: how dark a difference can be before it no longer counts."""
+"""Added to values times cosines before the fourth root: how dark a difference can be before it no longer counts."""
 THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
 THETA_D = (15.0, 45.0, 75.0)
 """Centres of the soft bins, in degrees."""
@@ -33,7 +33,7 @@ BUNDLED = "learned_metric.json"
 
 @LOSSES.register("learned")
 class LearnedLoss(GroupedLoss):
-    """sqrt(P + M + K), a norm of the differences d_c = e(M_c) - e(A_c), e(x) = (max(x, 0) + FLOOR)^(1/4).
+    """sqrt(P + M + K), a norm of differences d_c = e(M_c) - e(A_c), e(x) = (max(x, 0) cos_i cos_o + FLOOR)^(1/4).
 
     Shapes as `Loss`. Each pair has a luminance difference y = sum_c l_c d_c (l: `LUMINANCE`; 1/C each if there are not
     three channels) and C chroma differences d_c - y. < >_hk is the weighted average over the pairs in the soft bin h of
@@ -48,9 +48,9 @@ class LearnedLoss(GroupedLoss):
 
     Symmetric; 0 for equal values only, as far as e and the pairs see them; it obeys the triangle inequality, and grows
     in proportion along a straight path of e. A common factor s on all values multiplies it by s^(1/4) while values are
-    well above FLOOR: the factor that MERL tables carry matters. No cosine is in it: the bins say how much an angle
-    counts. Bins are averages, so the choice of pairs matters little where their weights are passed; a bin without pairs
-    adds nothing. Weights that differ by channel weigh luminance, and scale the chroma of a channel by w_c / max_c w_c.
+    well above FLOOR: the factor that MERL tables carry matters. Bins are averages, so the choice of pairs matters
+    little where their weights are passed; a bin without pairs adds nothing. Weights that differ by channel weigh
+    luminance, and scale the chroma of a channel by w_c / max_c w_c.
 
     weights: None for those that come with torchbrdf, the path of a `metric.json`, or what such a file holds. Unit: the
     mean distance between two of the materials that they were learned from; `provenance` says which.
@@ -60,7 +60,7 @@ class LearnedLoss(GroupedLoss):
     comparisons is L. L. Thurstone's, A law of comparative judgment, 1927.
     """
 
-    needs = ("theta_h", "theta_d")
+    needs = ("cos_i", "cos_o", "theta_h", "theta_d")
 
     def __init__(self, reduction: Reduction = "mean", weights: str | Path | Mapping[str, Any] | None = None) -> None:
         super().__init__(reduction)
@@ -74,13 +74,13 @@ class LearnedLoss(GroupedLoss):
         self.register_buffer("factor", factor(averages, 3), persistent=False)
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """(max(M, 0) + FLOOR)^(1/4)."""
-        return encode(values)
+        """(max(M, 0) cos_i cos_o + FLOOR)^(1/4)."""
+        return encode(values, pairs)
 
     def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """1/4 (M + FLOOR)^(-3/4), 0 for values of 0 or less."""
-        encoded = encode(values)
-        return encoded, torch.where(values > 0, 0.25 / encoded.pow(3), 0)
+        """cos_i cos_o / 4 (M cos_i cos_o + FLOOR)^(-3/4), 0 for values of 0 or less."""
+        encoded = encode(values, pairs)
+        return encoded, torch.where(values > 0, 0.25 * cosines(pairs) / encoded.pow(3), 0)
 
     def groups(self, pairs: Pairs) -> Tensor:
         """`soft_bins`."""
@@ -101,9 +101,16 @@ class LearnedLoss(GroupedLoss):
         return y + share * (difference - y), largest
 
 
-def encode(values: Tensor) -> Tensor:
-    """(max(x, 0) + FLOOR)^(1/4), whose slope is finite everywhere."""
-    raised = values.clamp_min(0).add_(FLOOR)
+def cosines(pairs: Pairs | None) -> Tensor:
+    """cos_i cos_o as a column `(..., N, 1)`, 0 below the horizon."""
+    if pairs is None:
+        raise ShapeError("pairs are needed for cos_i and cos_o")
+    return pairs.keep("cosines", lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
+
+
+def encode(values: Tensor, pairs: Pairs | None) -> Tensor:
+    """(max(x, 0) cos_i cos_o + FLOOR)^(1/4), whose slope is finite everywhere."""
+    raised = (values.clamp_min(0) * cosines(pairs)).add_(FLOOR)
     return raised.sqrt().sqrt() if raised.requires_grad else raised.sqrt_().sqrt_()
 
 

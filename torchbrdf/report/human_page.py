@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from torchbrdf.files import write_text
-from torchbrdf.human import Subjects, Table
-from torchbrdf.human.table import ODD_METHOD
+from torchbrdf.human import FACTORS, Subjects, Table
+from torchbrdf.human.table import APART, ODD_METHOD
 from torchbrdf.report.drawing import COLORS, drawing, marked
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
@@ -25,6 +25,11 @@ _THEIRS = {
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
 }
+_ADDED = {
+    FACTORS: "a non-parametric fit, so close to its material that stand-ins of measured tables differ from them by as "
+    "much; on stand-ins its own comparisons across materials come out near chance for that reason.",
+    ODD_METHOD: "the pictures of its published parameters disagree with what people saw, which shows in every loss.",
+}
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,7 @@ class HumanPage:
 
     made_up: bool
     stand_in: bool
+    images: bool
     left_out: Sequence[str]
     pairs: int
     max_theta: float
@@ -60,7 +66,9 @@ def write_human_report(folder: Path, table: Table, subjects: Subjects, said: Hum
         approximated=len(set(opinions.materials)),
         methods=list(dict.fromkeys(opinions.methods)),
         without=subjects.left_out,
-        odd=ODD_METHOD if ODD_METHOD in opinions.methods else "",
+        apart=[method for method in APART if method in opinions.methods],
+        factors=FACTORS,
+        odd=ODD_METHOD,
         record=(folder / "recipe.json").read_text(encoding="utf-8"),
     )
     path = folder / "report.html"
@@ -79,7 +87,7 @@ def findings(table: Table) -> list[str]:
     own = [k for k, name in enumerate(table.losses) if not name.startswith(THEIRS)]
     for s, one in enumerate(table.statistics):
         known = [k for k in own if bool(table.value[k, s].isfinite())]
-        if not known or "_with_" in one.key:
+        if not known or one.added:
             continue
         best = max(known, key=lambda k: float(table.value[k, s]))
         limit = "" if one.ceiling is None else f"; people's own disagreement lets nothing pass {table.ceiling[s]:.3f}"
@@ -96,7 +104,7 @@ def findings(table: Table) -> list[str]:
 
 def agreement_figure(path: Path, table: Table, mark: str) -> None:
     """A panel for each statistic: agreement of every loss with its interval, chance, and the ceiling."""
-    shown = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
+    shown = _columns(table)
     rows = np.arange(len(table.losses))
     with drawing(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
         panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
@@ -130,22 +138,22 @@ def _wrapped(text: str) -> str:
 
 
 def _agreement_tables(table: Table) -> list[dict[str, Any]]:
-    """Agreement with intervals and the ceilings; the columns with the odd method apart."""
-    plain = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
-    odd = [s for s, one in enumerate(table.statistics) if "_with_" in one.key]
+    """Agreement with intervals and the ceilings; the columns with each added method in a table of their own."""
     note = (
         "Share of comparisons that a loss orders as people do, with its 95 % interval over materials; 0.5 is chance. "
         "Bold: the best. In the head: how many comparisons. Ceiling: what disagreement between people lets anything "
         "reach."
     )
-    tables = [{"title": "Agreement with people", "note": note, **_agreement(table, plain)}]
-    if odd:
-        note = (
-            f"As above, with {ODD_METHOD}: the pictures of its published parameters disagree with what people saw, "
-            "which shows in every loss."
-        )
-        tables.append({"title": f"With {ODD_METHOD}", "note": note, **_agreement(table, odd)})
+    tables = [{"title": "Agreement with people", "note": note, **_agreement(table, _columns(table))}]
+    for method in dict.fromkeys(one.added for one in table.statistics if one.added):
+        note = f"As in the first table, with {method}" + (f": {_ADDED[method]}" if method in _ADDED else ".")
+        tables.append({"title": f"With {method}", "note": note, **_agreement(table, _columns(table, method))})
     return tables
+
+
+def _columns(table: Table, added: str = "") -> list[int]:
+    """The main columns, or those with one method added."""
+    return [s for s, one in enumerate(table.statistics) if one.added == added]
 
 
 def _agreement(table: Table, columns: Sequence[int]) -> dict[str, Any]:
@@ -172,7 +180,8 @@ def _agreement(table: Table, columns: Sequence[int]) -> dict[str, Any]:
 
 def _difference_table(table: Table, rival: str) -> dict[str, Any]:
     """How much more often each loss agrees with people than one of them."""
-    columns = [s for s, one in enumerate(table.statistics) if "_with_" not in one.key]
+    close = [s for s in _columns(table, FACTORS) if not table.statistics[s].key.startswith("across")]
+    columns = [*_columns(table), *close]
     rows = []
     for name in table.losses:
         if name == rival or name.startswith(THEIRS):
@@ -192,4 +201,6 @@ def _difference_table(table: Table, rival: str) -> dict[str, Any]:
 def _span(value: Any, low: Any, high: Any, sign: str = "") -> str:
     if not np.isfinite(float(value)):
         return "none"
-    return f"{float(value):{sign}.3f} ({float(low):{sign}.3f} to {float(high):{sign}.3f})"
+    # In tables of differences, which are wide, a line may end before the interval.
+    gap, inside = " " if sign else "&", f"({float(low):{sign}.3f}&to&{float(high):{sign}.3f})"
+    return f"{float(value):{sign}.3f}{gap}{inside}".replace("&", "\u00a0")
