@@ -6,12 +6,16 @@ import re
 
 import numpy as np
 import pytest
+import torch
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.human import Distances, statistics_of, tabulate
+from torchbrdf.human.made_up import made_up
 from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
-from torchbrdf.losses import LOSSES
+from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.recipe import RECIPES, configure, run
+from torchbrdf.report.human_page import trained
 
 SETTINGS = {"quick": "true", "images": "true"}
 
@@ -141,3 +145,13 @@ def test_factors_are_one_more_method_where_there_is_a_file(tmp_path):
     found, page = keys()  # the distances that are stored are of too few opinions
     assert found == {"majority", "votes", "across", "pairs_with_bagher", "across_with_bagher", "apart_with_bagher"}
     assert "Left out: SGD." in page and "<h3>With BAGHER</h3>" in page and "Without BAGHER." in page
+
+
+def test_a_trained_metric_is_said_to_have_seen_the_answers():
+    subjects = made_up(questions=20)
+    columns = statistics_of(subjects.triplets, subjects.opinions)
+    count = len(subjects.triplets.materials)
+    some = Distances(torch.rand(count, count, dtype=torch.float64), None)
+    (line,) = trained(tabulate(columns, {"learned": some, "rms": some}, replicates=3))
+    assert f"{LearnedLoss().provenance['held_out']['majority'][0]:.3f}" in line and "did not see" in line
+    assert trained(tabulate(columns, {"rms": some}, replicates=3)) == []

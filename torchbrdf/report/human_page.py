@@ -9,7 +9,8 @@ import numpy as np
 
 from torchbrdf.files import write_text
 from torchbrdf.human import FACTORS, Subjects, Table
-from torchbrdf.human.table import APART, ODD_METHOD
+from torchbrdf.human.table import APART, LABELS, ODD_METHOD
+from torchbrdf.losses import LearnedLoss
 from torchbrdf.report.drawing import COLORS, drawing, marked
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
@@ -53,7 +54,7 @@ def write_human_report(folder: Path, table: Table, subjects: Subjects, said: Hum
     page = template("human.html").render(
         title=TITLE,
         said=said,
-        findings=findings(table),
+        findings=[*findings(table), *([] if said.made_up else trained(table))],
         figure=png(figure),
         tables=[
             *_agreement_tables(table),
@@ -100,6 +101,19 @@ def findings(table: Table) -> list[str]:
             f"{table.value[best, s]:.3f} ({table.low[best, s]:.3f} to {table.high[best, s]:.3f}){limit}.{tied}"
         )
     return lines
+
+
+def trained(table: Table) -> list[str]:
+    """What has to be said of a metric that these answers may have trained."""
+    if "learned" not in table.losses:
+        return []
+    known = LearnedLoss().provenance["held_out"]
+    shares = [f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})" for name, (share, low, high) in known.items()]
+    return [
+        f"The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
+        f"{FACTORS} too: here it is asked about what it may have seen. On halves of the materials that it did not see it had: "
+        f"{'; '.join(shares)}. Train one with torchbrdf run train_metric."
+    ]
 
 
 def agreement_figure(path: Path, table: Table, mark: str) -> None:

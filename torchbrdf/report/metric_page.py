@@ -21,6 +21,7 @@ LABELS = {
     "across": "one method, across materials",
     "choices": "choices of observers: majority",
 }
+MORE = "Its share minus that of each formula, with the paired 95 % interval. Bold: all of the interval is above 0."
 Results = dict[str, dict[str, dict[str, list[float]]]]
 
 
@@ -47,18 +48,22 @@ def write_metric_report(folder: Path, page: MetricPage) -> Path:
         {
             "title": "Materials that it never saw",
             "note": "Share of comparisons ordered as people order them, with 95 % intervals over materials; 0.5 is "
-            "chance. Small: how much more the learned metric has, with its interval. It was learned on one half of the "
-            "materials and judged on the other, again and again; all are judged on the same comparisons. One thing was "
-            "chosen with a look at all of them: the iteration at which training stops.",
-            **_rows(page.table),
-        }
+            "chance. The learned metric was learned on one half of the materials and judged on the other, again and "
+            "again; all are judged on the same comparisons. One thing was chosen with a look at all of them: the "
+            "iteration at which training stops.",
+            **_shares(page.table),
+        },
+        {"title": "How much more the learned metric has", "note": MORE, **_gains(page.table)},
     ]
     if page.methods:
         note = (
             "As above, but no opinion of the method in question was learned from either: what the metric makes of "
             "approximations of a kind that it has not met."
         )
-        tables.append({"title": "Materials and methods that it never saw", "note": note, **_rows(page.methods)})
+        tables += [
+            {"title": "Materials and methods that it never saw", "note": note, **_shares(page.methods)},
+            {"title": "How much more it has there", "note": MORE, **_gains(page.methods)},
+        ]
     text = template("metric.html").render(
         title=TITLE,
         mark=page.mark,
@@ -73,18 +78,29 @@ def write_metric_report(folder: Path, page: MetricPage) -> Path:
     return path
 
 
-def _rows(table: Results) -> dict[str, Any]:
-    names = list(next(iter(table.values())))
+def _shares(table: Results) -> dict[str, Any]:
     rows = []
-    for name in names:
-        cells = [Cell("learned" if name == "learned" else loss_label(name))]
-        for own in table.values():
-            value, low, high = own[name]["share"]
-            gain, least, most = own[name]["gain"]
-            more = "" if name == "learned" else f"; learned {gain:+.3f} ({least:+.3f} to {most:+.3f})"
-            cells.append(Cell(f"{value:.3f} ({low:.3f} to {high:.3f}){more}", name == "learned" or least > 0))
-        rows.append(cells)
+    for name in _names(table):
+        values = [own[name]["share"] for own in table.values()]
+        best = [max(other["share"][0] for other in own.values()) for own in table.values()]
+        spans = [f"{value:.3f} ({low:.3f} to {high:.3f})" for value, low, high in values]
+        tops = [value[0] == top for value, top in zip(values, best, strict=True)]
+        rows.append([Cell(loss_label(name)), *map(Cell, spans, tops)])
     return {"head": ["metric", *(LABELS[name] for name in table)], "rows": rows}
+
+
+def _gains(table: Results) -> dict[str, Any]:
+    rows = []
+    for name in _names(table)[1:]:
+        gains = [own[name]["gain"] for own in table.values()]
+        cells = [Cell(f"{gain:+.3f} ({low:+.3f} to {high:+.3f})", low > 0) for gain, low, high in gains]
+        rows.append([Cell(f"than {loss_label(name)}"), *cells])
+    return {"head": ["", *(LABELS[name] for name in table)], "rows": rows}
+
+
+def _names(table: Results) -> list[str]:
+    """The metrics, the learned one first."""
+    return list(next(iter(table.values())))
 
 
 def _draw_curves(path: Path, page: MetricPage) -> None:

@@ -1,0 +1,71 @@
+"""What the learned metric costs beside cosine RMS, on the same pairs: an evaluation, one with weights, a gradient; and
+a fit beside the compressed loss.
+
+python benchmarks/learned.py [MERL/]
+"""
+
+import sys
+import time
+
+import torch
+
+from torchbrdf import fit, load
+from torchbrdf.human import uniform_pairs
+from torchbrdf.lobes import make_model
+from torchbrdf.losses import CompressedLoss, CosineRMSLoss, LearnedLoss
+
+
+def seconds(work, times=61):
+    """The median time of some runs."""
+    for _ in range(5):
+        work()
+    found = []
+    for _ in range(times):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return sorted(found)[times // 2]
+
+
+def slope(loss, prediction, *rest):
+    """The gradient by the prediction."""
+    point = prediction.clone().requires_grad_()
+    loss(point, *rest).sum().backward()
+
+
+def costs(kind, count, materials):
+    """Seconds of an evaluation, of a first one on new pairs, of one with weights, and of a gradient."""
+    pairs = uniform_pairs(count).to(dtype=torch.float32)
+    generator = torch.Generator().manual_seed(0)
+    one, other = (torch.rand(materials, count, 3, generator=generator) + 0.01 for _ in range(2))
+    loss, weight = kind(reduction="none"), torch.ones(materials, count, 1)
+    return (
+        seconds(lambda: loss(one, other, pairs)),
+        seconds(lambda: loss(one, other, pairs.select()), times=15),
+        seconds(lambda: loss(one, other, pairs, weight)),
+        seconds(lambda: slope(loss, one, other, pairs)),
+    )
+
+
+def main(folder=None):
+    """Print the tables."""
+    print(
+        "| pairs | materials | evaluation | first on new pairs | with weights | gradient |\n|---|---|---|---|---|---|"
+    )
+    for count, materials in ((6000, 1), (6000, 10), (6000, 100), (100_000, 1)):
+        rows = [costs(kind, count, materials) for kind in (CosineRMSLoss, LearnedLoss)]
+        cells = [f"{mine / theirs:.2f} ({mine * 1e3:.2f} ms)" for theirs, mine in zip(*rows, strict=True)]
+        print(f"| {count:,} | {materials} | {' | '.join(cells)} |")
+    if folder is None:
+        return
+    measured = load(folder)
+    print("\n| two lobes | learned, s a fit | compressed, s a fit | ratio | converged |\n|---|---|---|---|---|")
+    for name in ("ward", "cook_torrance", "ashikhmin_shirley"):
+        found = [fit(make_model(name, lobes=2), measured, loss) for loss in (LearnedLoss(), CompressedLoss())]
+        each = [result.seconds / len(measured) for result in found]
+        good = sum(str(status) == "converged" for status in found[0].status)
+        print(f"| {name} | {each[0]:.2f} | {each[1]:.2f} | {each[0] / each[1]:.1f} | {good} of {len(measured)} |")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
