@@ -110,8 +110,8 @@ def trained(table: Table) -> list[str]:
     known = LearnedLoss().provenance["held_out"]
     shares = [f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})" for name, (share, low, high) in known.items()]
     return [
-        f"The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
-        f"{FACTORS} too: here it is asked about what it may have seen. On halves of the materials that it did not see it had: "
+        "The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
+        f"{FACTORS} too: here it is asked about what it may have seen. On halves of the materials that it did not see: "
         f"{'; '.join(shares)}. Train one with torchbrdf run train_metric."
     ]
 
