@@ -162,7 +162,7 @@ def test_copies_do_not_carry_pairs() -> None:
     expected = loss(one, other, PAIRS)
     assert loss._kept is not None
     for same in (copy.deepcopy(loss), pickle.loads(pickle.dumps(loss))):
-        assert same._kept is None
+        assert same._kept is None and same._aimed is None
         assert torch.equal(same(one, other, PAIRS), expected)
 
 
@@ -174,6 +174,10 @@ def test_what_is_kept_belongs_to_these_pairs() -> None:
     assert loss(one, other, PAIRS) == first
     weight = torch.rand(2000, 1, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     assert float(loss(one, other, PAIRS, weight)) == distance(one, other, PAIRS, weight)
+    changed = other.clone()
+    before = loss(one, changed, PAIRS)
+    changed *= 1.5
+    assert loss(one, changed, PAIRS) == distance(one, changed) != before
     single = loss(one.float(), other.float(), PAIRS.to(dtype=torch.float32))
     assert single.dtype == torch.float32 and float(single) == pytest.approx(float(first), rel=1e-4)
 

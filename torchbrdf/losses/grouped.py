@@ -38,6 +38,7 @@ class GroupedLoss(Loss):
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__(reduction)
         self._kept: tuple[Pairs, int, Grouping] | None = None
+        self._aimed: tuple[Tensor, int, Pairs, Tensor] | None = None
 
     def groups(self, pairs: Pairs) -> Tensor:
         """How much of each pair is in each group, `(..., N, G)`; the shares of a pair add up to 1."""
@@ -65,7 +66,7 @@ class GroupedLoss(Loss):
         """The distance of each material, `(...)`, float64."""
         self._check(prediction, target, pairs, weight)
         assert pairs is not None
-        difference = self.encode(prediction, pairs) - self.encode(target, pairs)
+        difference = self.encode(prediction, pairs) - self._aim(target, pairs)
         difference, weight = self.even(difference, weight)
         own = self.grouping(pairs, weight, difference)
         weighed = difference if weight is None else difference * weight
@@ -73,6 +74,15 @@ class GroupedLoss(Loss):
         squares = (weighed * difference).mul_(own.profile).sum((-2, -1)).double()
         parts = means.flatten(-2) @ self.root(difference.shape[-1]).to(means.device)
         return safe_sqrt(squares + parts.square().sum(-1))
+
+    def _aim(self, target: Tensor, pairs: Pairs) -> Tensor:
+        """The encoded target, kept for when the same tensor comes again, as it does in every step of a fit."""
+        if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
+            return self.encode(target, pairs)
+        kept = self._aimed
+        if kept is None or kept[0] is not target or kept[1] != target._version or kept[2] is not pairs:
+            kept = self._aimed = target, target._version, pairs, self.encode(target, pairs)
+        return kept[3]
 
     def grouping(self, pairs: Pairs, weight: Tensor | None, like: Tensor) -> Grouping:
         """The groups for values `like` `(..., N, C)` under weights `(..., N|1, 1)`.
@@ -100,4 +110,4 @@ class GroupedLoss(Loss):
         return own
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_kept": None}  # copies and other processes have other pairs
+        return {**super().__getstate__(), "_kept": None, "_aimed": None}  # copies and other processes have other pairs

@@ -110,7 +110,10 @@ def cosines(pairs: Pairs | None) -> Tensor:
 
 def encode(values: Tensor, pairs: Pairs | None) -> Tensor:
     """(max(x, 0) cos_i cos_o + FLOOR)^(1/4), whose slope is finite everywhere."""
-    raised = (values.clamp_min(0) * cosines(pairs)).add_(FLOOR)
+    raised, cosine = values.clamp_min(0), cosines(pairs)
+    fits = cosine.dtype == raised.dtype and cosine.dim() <= raised.dim() and cosine.numel() == raised.shape[-2]
+    # In place where possible: memory that is new costs more than the arithmetic.
+    raised = (raised.mul_(cosine) if fits else raised * cosine).add_(FLOOR)
     return raised.sqrt().sqrt() if raised.requires_grad else raised.sqrt_().sqrt_()
 
 
