@@ -1,5 +1,6 @@
 """What the benchmarks share: the nine kinds of fit, and scipy in the place of a user who writes the loop."""
 
+import statistics
 import time
 
 import numpy as np
@@ -67,6 +68,18 @@ def scipy_staged(model, values, variables, part, loss):
 def losses():
     """The three metrics of the paper."""
     return {name: LOSSES[name]() for name in METRICS}
+
+
+def seconds(work, times=7, warm=1):
+    """The median time of some runs, after some that warm up."""
+    for _ in range(warm):
+        work()
+    found = []
+    for _ in range(times):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return statistics.median(found)
 
 
 class Timer:

@@ -3,11 +3,11 @@
 python benchmarks/images.py MERL/        a folder of MERL tables: the first is used for single figures, all for fits
 """
 
-import statistics
 import sys
 import time
 
 import torch
+from common import seconds
 
 from torchbrdf.fitting import fit
 from torchbrdf.images import DIFFERENCES, ToneMap
@@ -18,18 +18,6 @@ from torchbrdf.render import Environment, RenderedLoss, Scene, View, blob, rende
 from torchbrdf.render.raster import rasterize
 
 ANALYTIC = ("rms", "cosine", "cuberoot", "compressed", "log")
-REPEATS = 7
-
-
-def seconds(work, repeats=REPEATS):
-    """The median of several runs after one that warms up."""
-    work()
-    found = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - began)
-    return statistics.median(found)
 
 
 def step(loss, problem):

@@ -5,26 +5,14 @@ python benchmarks/learned.py [MERL/]
 """
 
 import sys
-import time
 
 import torch
+from common import seconds
 
 from torchbrdf import fit, load
 from torchbrdf.human import uniform_pairs
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, LearnedLoss
-
-
-def seconds(work, times=61):
-    """The median time of some runs."""
-    for _ in range(5):
-        work()
-    found = []
-    for _ in range(times):
-        began = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - began)
-    return sorted(found)[times // 2]
 
 
 def slope(loss, prediction, *rest):
@@ -40,10 +28,10 @@ def costs(kind, count, materials):
     one, other = (torch.rand(materials, count, 3, generator=generator) + 0.01 for _ in range(2))
     loss, weight = kind(reduction="none"), torch.ones(materials, count, 1)
     return (
-        seconds(lambda: loss(one, other, pairs)),
-        seconds(lambda: loss(one, other, pairs.select()), times=15),
-        seconds(lambda: loss(one, other, pairs, weight)),
-        seconds(lambda: slope(loss, one, other, pairs)),
+        seconds(lambda: loss(one, other, pairs), 61, 5),
+        seconds(lambda: loss(one, other, pairs.select()), 15, 5),
+        seconds(lambda: loss(one, other, pairs, weight), 61, 5),
+        seconds(lambda: slope(loss, one, other, pairs), 61, 5),
     )
 
 

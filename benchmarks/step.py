@@ -4,28 +4,16 @@ python benchmarks/step.py NICKEL.binary
 """
 
 import sys
-import time
 from functools import partial
 
 import torch
-from common import MODELS, lobes_of
+from common import MODELS, lobes_of, seconds
 
 from torchbrdf.fitting.data import Data
 from torchbrdf.fitting.normal import SquaredError
 from torchbrdf.fitting.variables import encode
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import load
-
-
-def seconds(work, times=7):
-    """The median time of some runs."""
-    work()
-    found = []
-    for _ in range(times):
-        began = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - began)
-    return sorted(found)[times // 2]
 
 
 def main(path):

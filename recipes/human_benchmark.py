@@ -29,7 +29,6 @@ from torchbrdf.human import (
 )
 from torchbrdf.human.made_up import made_up
 from torchbrdf.losses import LOSSES, Loss
-from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.render import Environment, RenderedLoss, Scene, View, sphere
 from torchbrdf.report import HumanPage, write_human_report
@@ -103,10 +102,9 @@ class HumanBenchmark(Recipe):
             raise UsageError(f"{self.name}: no loss could be scored")
         table = tabulate(statistics_of(subjects.triplets, subjects.opinions), scored, replicates, self.seed)
         _write(folder.path, table)
-        stand_in = subjects.measured.stand_in or not all(is_merl(path) for path in subjects.measured.source.paths)
         said = HumanPage(
             made_up=self.quick,
-            stand_in=stand_in,
+            stand_in=subjects.stand_in,
             images=self.images,
             left_out=left_out,
             pairs=len(pairs),

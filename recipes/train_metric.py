@@ -22,13 +22,12 @@ from torchbrdf.human import (
     uniform_pairs,
 )
 from torchbrdf.human.lesson import Lesson, joined, lesson_of, lesson_of_choices
-from torchbrdf.human.made_up import made_up
+from torchbrdf.human.made_up import MADE_UP, made_up
 from torchbrdf.human.training import Course, Split, best_iteration, finished, formulas, held_out, splits, train
 from torchbrdf.lobes import model_of, read_fits
 from torchbrdf.losses import LOSSES
 from torchbrdf.losses.learned import form
 from torchbrdf.measured import load_all, standins
-from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.report import STANDINS, MetricPage, write_metric_report
 from torchbrdf.study import MEASURED, read_answers, simulated
@@ -37,7 +36,6 @@ PUBLISHED = (
     "triplets of Lagunas et al. 2019, doi:10.1145/3306346.3323036; opinions of Lavoue et al. 2021, "
     "doi:10.1111/cgf.142636"
 )
-MADE_UP = "made-up answers: nobody was asked"
 
 
 @RECIPES.register("train_metric")
@@ -137,10 +135,9 @@ class TrainMetric(Recipe):
 
 def _published_facts(subjects: Subjects, lesson: Lesson, published: bool) -> dict[str, Any]:
     opinions: Opinions = subjects.opinions
-    own = not subjects.measured.stand_in and all(is_merl(path) for path in subjects.measured.source.paths)
     return {
         "answers": PUBLISHED if published else MADE_UP,
-        "tables": "measured" if own else "stand-ins for measured tables",
+        "tables": "stand-ins for measured tables" if subjects.stand_in else "measured",
         "questions": len(subjects.triplets),
         "votes": int(subjects.triplets.votes.sum()),
         "opinions": sum(method in lesson.methods for method in opinions.methods),

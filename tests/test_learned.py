@@ -94,7 +94,7 @@ def test_terms_times_weights_are_the_square() -> None:
     flat = [*data["pointwise"]]
     for kind in ("luminance", "chroma"):
         flat += [*np.ravel(data["mean"][kind]), *np.ravel(data["contrast"][kind])]
-    found = terms(encode(one, PAIRS) - encode(other, PAIRS), PAIRS)
+    found = terms(encode(one, PAIRS) - encode(other, PAIRS), soft_bins(PAIRS))
     weights = torch.tensor(flat, dtype=torch.float64)
     assert float(found @ weights) == pytest.approx(distance(one, other) ** 2, rel=1e-10)
     assert named(weights) == {key: data[key] for key in named(weights)}

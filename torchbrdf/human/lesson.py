@@ -11,7 +11,7 @@ from torchbrdf.human.opinions import Opinions
 from torchbrdf.human.scores import Seen, Subjects
 from torchbrdf.human.statistics import Comparisons, across_materials, majorities, same_material
 from torchbrdf.human.triplets import Triplets
-from torchbrdf.losses.learned import encode, terms
+from torchbrdf.losses.learned import encode, soft_bins, terms
 
 # How far, beside their standard errors, mean opinions may be from what a distance can know.
 UNKNOWN = 0.03
@@ -134,8 +134,9 @@ def terms_of(seen: Seen, values: Tensor, first: Tensor, second: Tensor) -> Tenso
     if seen.pairs is None:
         raise UsageError("a lesson: expected values on pairs")
     one, other = encode(values, seen.pairs), encode(seen.materials, seen.pairs)
+    bins = soft_bins(seen.pairs).to(one)
     parts = zip(first.split(_HELD), second.split(_HELD), strict=True)
-    found = [terms(one[i] - other[j], seen.pairs).double() for i, j in parts]
+    found = [terms(one[i] - other[j], bins).double() for i, j in parts]
     return torch.cat(found)
 
 

@@ -12,6 +12,9 @@ from torchbrdf.human.triplets import Triplets
 from torchbrdf.lobes import Lambert, Lobe, Sum, Ward
 from torchbrdf.measured import load, standins
 
+MADE_UP = "made-up answers: nobody was asked"
+"""What has to be said wherever they are shown."""
+
 
 @dataclass(frozen=True)
 class Guess:

@@ -13,6 +13,7 @@ from torchbrdf.human.opinions import Opinions
 from torchbrdf.human.triplets import Triplets
 from torchbrdf.losses import Loss, ObservedLoss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.pairs import Pairs
 
 # Bytes of values that a loss sees at once; it may make several times as many on its way.
@@ -68,6 +69,11 @@ class Subjects:
     def names(self) -> list[str]:
         """The materials of the triplets, and behind them those that only have approximations."""
         return list(dict.fromkeys([*self.triplets.materials, *self.opinions.materials]))
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether any table is not MERL's own, by its checksum."""
+        return self.measured.stand_in or not all(is_merl(path) for path in self.measured.source.paths)
 
     @property
     def left_out(self) -> list[str]:

@@ -1,5 +1,6 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
@@ -66,6 +67,8 @@ class Loss(nn.Module):
     rounding: ClassVar[tuple[float | None, ...]] = (None,)
     """Widths over which a cusp at equal values is rounded on the way to a minimum, in units of the mean of what is
     encoded, one after the other; None: there is no cusp."""
+
+    _aimed: tuple[Tensor, int, Pairs | None, Tensor] | None = None
 
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__()
@@ -136,6 +139,16 @@ class Loss(nn.Module):
         if self.reduction == "none":
             return error
         return error.mean() if self.reduction == "mean" else error.sum()
+
+    def remembered(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
+        """make(), what is compared of a target, kept for when the same tensor comes again, unchanged and on the same
+        pairs, as it does in every step of a fit."""
+        if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
+            return make()
+        kept = self._aimed
+        if kept is None or kept[0] is not target or kept[1] != target._version or kept[2] is not pairs:
+            kept = self._aimed = target, target._version, pairs, make()
+        return kept[3]
 
     def problem(self, measured: Samples, subset: Tensor | None = None) -> Problem:
         """The measured pairs, or those of them that `subset` names by index, as a Problem."""

@@ -23,6 +23,15 @@ class Grouping(NamedTuple):
     profile: Tensor
 
 
+def holdings(shares: Tensor, weight: Tensor | None = None) -> Tensor:
+    """What groups hold, with their fading, `(..., 1, G)`, float64; shares: `(..., N, G)`, weight: `(..., N|1, 1)`."""
+    if weight is None:
+        held = shares.sum(-2, keepdim=True, dtype=torch.float64)
+    else:
+        held = (weight.expand(*weight.shape[:-2], shares.shape[-2], 1).mT.to(shares) @ shares).double()
+    return held + FADE * held.sum(-1, keepdim=True)
+
+
 class GroupedLoss(Loss):
     """sqrt(sum_g u_g <mean_c d_c^2>_g + |F m|^2), d = encode(prediction) - encode(target), m the averages <d_c>_g.
 
@@ -38,7 +47,6 @@ class GroupedLoss(Loss):
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__(reduction)
         self._kept: tuple[Pairs, int, Grouping] | None = None
-        self._aimed: tuple[Tensor, int, Pairs, Tensor] | None = None
 
     def groups(self, pairs: Pairs) -> Tensor:
         """How much of each pair is in each group, `(..., N, G)`; the shares of a pair add up to 1."""
@@ -66,7 +74,7 @@ class GroupedLoss(Loss):
         """The distance of each material, `(...)`, float64."""
         self._check(prediction, target, pairs, weight)
         assert pairs is not None
-        difference = self.encode(prediction, pairs) - self._aim(target, pairs)
+        difference = self.encode(prediction, pairs) - self.remembered(target, pairs, lambda: self.encode(target, pairs))
         difference, weight = self.even(difference, weight)
         own = self.grouping(pairs, weight, difference)
         weighed = difference if weight is None else difference * weight
@@ -74,15 +82,6 @@ class GroupedLoss(Loss):
         squares = (weighed * difference).mul_(own.profile).sum((-2, -1)).double()
         parts = means.flatten(-2) @ self.root(difference.shape[-1]).to(means.device)
         return safe_sqrt(squares + parts.square().sum(-1))
-
-    def _aim(self, target: Tensor, pairs: Pairs) -> Tensor:
-        """The encoded target, kept for when the same tensor comes again, as it does in every step of a fit."""
-        if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
-            return self.encode(target, pairs)
-        kept = self._aimed
-        if kept is None or kept[0] is not target or kept[1] != target._version or kept[2] is not pairs:
-            kept = self._aimed = target, target._version, pairs, self.encode(target, pairs)
-        return kept[3]
 
     def grouping(self, pairs: Pairs, weight: Tensor | None, like: Tensor) -> Grouping:
         """The groups for values `like` `(..., N, C)` under weights `(..., N|1, 1)`.
@@ -98,11 +97,7 @@ class GroupedLoss(Loss):
         else:
             shares = self.groups(pairs).to(like)
             shares = shares.expand(*shares.shape[:-2], count, shares.shape[-1])  # one pair may stand for all
-        if weight is None:
-            held = shares.sum(-2, keepdim=True, dtype=torch.float64)
-        else:
-            held = (weight.expand(*weight.shape[:-2], count, 1).mT.to(shares) @ shares).double()
-        held = held + FADE * held.sum(-1, keepdim=True)
+        held = holdings(shares, weight)
         profile = shares @ (self.square_weight.to(held) / (channels * held)).mT.to(shares)
         own = Grouping(shares, held, profile.expand(*profile.shape[:-1], channels).contiguous())
         if weight is None and shares.numel() <= KEPT and not (shares.requires_grad or torch.compiler.is_compiling()):

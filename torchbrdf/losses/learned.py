@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.losses.base import LOSSES, Reduction
-from torchbrdf.losses.grouped import FADE, GroupedLoss
+from torchbrdf.losses.grouped import GroupedLoss, holdings
 from torchbrdf.pairs import Pairs
 
 FLOOR = 1e-4
@@ -155,11 +155,12 @@ def factor(weight: Tensor, channels: int) -> Tensor:
     return (contrasts(unit) * root).flatten(-2)
 
 
-def terms(difference: Tensor, pairs: Pairs) -> Tensor:
-    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `named`; difference: `(..., N, C)`."""
-    bins = soft_bins(pairs).to(difference)
-    held = bins.sum(-2, keepdim=True, dtype=torch.float64)
-    held = held + FADE * held.sum(-1, keepdim=True)
+def terms(difference: Tensor, bins: Tensor) -> Tensor:
+    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `named`.
+
+    difference: `(..., N, C)`; bins: `soft_bins`, in its dtype.
+    """
+    held = holdings(bins)
     squares = difference.square().mean(-1)[..., None, :] @ bins / held
     parts = contrasts((difference.mT @ bins).double() / held).square()
     pointwise = squares[..., 0, :].unflatten(-1, (ROWS, COLUMNS)).sum(-1)

@@ -21,7 +21,6 @@ class ObservedLoss(Loss):
     """
 
     subsets: ClassVar[bool] = False
-    _kept: tuple[Tensor, int, Tensor] | None = None
 
     def observe(self, values: Tensor) -> Tensor:
         """What is observed of values `(M, N, 3)`, `(M, P, 3)`; differentiable."""
@@ -62,12 +61,5 @@ class ObservedLoss(Loss):
         self._check(prediction, target, pairs, weight)
         if weight is not None:
             raise ShapeError(f"{type(self).__name__}: expected no weights, found {(*weight.shape,)}")
-        return self.figure(self.value(self.observe(prediction), self._aim(target)))
-
-    def _aim(self, target: Tensor) -> Tensor:
-        """What is observed of the target, kept for when the same tensor comes again, as it does in every step."""
-        if target.requires_grad or target.is_inference():
-            return self.observe(target)
-        if self._kept is None or self._kept[0] is not target or self._kept[1] != target._version:
-            self._kept = target, target._version, self.observe(target)
-        return self._kept[2]
+        aim = self.remembered(target, None, lambda: self.observe(target))
+        return self.figure(self.value(self.observe(prediction), aim))

@@ -9,6 +9,7 @@ import numpy as np
 
 from torchbrdf.files import write_text
 from torchbrdf.human import FACTORS, Subjects, Table
+from torchbrdf.human.made_up import MADE_UP
 from torchbrdf.human.table import APART, LABELS, ODD_METHOD
 from torchbrdf.losses import LearnedLoss
 from torchbrdf.report.drawing import COLORS, drawing, marked
@@ -16,7 +17,6 @@ from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
 
 TITLE = "Which BRDF metric agrees with people?"
-MADE_UP = "made-up answers: nobody was asked"
 RIVALS = ("cuberoot", "compressed")
 THEIRS = "lagunas_"
 _THEIRS = {

@@ -9,18 +9,12 @@ import numpy as np
 from torch import Tensor
 
 from torchbrdf.files import write_text
+from torchbrdf.human.table import LABELS
 from torchbrdf.report.drawing import drawing
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
 
 TITLE = "A metric learned from answers"
-LABELS = {
-    "majority": "triplets: majority",
-    "pairs": "approximations: pairs of one material",
-    "apart": "pairs apart by more than two standard errors",
-    "across": "one method, across materials",
-    "choices": "choices of observers: majority",
-}
 MORE = "Its share minus that of each formula, with the paired 95 % interval. Bold: all of the interval is above 0."
 Results = dict[str, dict[str, dict[str, list[float]]]]
 
@@ -86,7 +80,7 @@ def _shares(table: Results) -> dict[str, Any]:
         spans = [f"{value:.3f} ({low:.3f} to {high:.3f})" for value, low, high in values]
         tops = [value[0] == top for value, top in zip(values, best, strict=True)]
         rows.append([Cell(loss_label(name)), *map(Cell, spans, tops)])
-    return {"head": ["metric", *(LABELS[name] for name in table)], "rows": rows}
+    return {"head": ["metric", *(_label(name) for name in table)], "rows": rows}
 
 
 def _gains(table: Results) -> dict[str, Any]:
@@ -95,7 +89,11 @@ def _gains(table: Results) -> dict[str, Any]:
         gains = [own[name]["gain"] for own in table.values()]
         cells = [Cell(f"{gain:+.3f} ({low:+.3f} to {high:+.3f})", low > 0) for gain, low, high in gains]
         rows.append([Cell(f"than {loss_label(name)}"), *cells])
-    return {"head": ["", *(LABELS[name] for name in table)], "rows": rows}
+    return {"head": ["", *(_label(name) for name in table)], "rows": rows}
+
+
+def _label(statistic: str) -> str:
+    return "choices of observers: majority" if statistic == "choices" else LABELS[statistic]
 
 
 def _names(table: Results) -> list[str]:
