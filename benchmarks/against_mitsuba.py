@@ -16,8 +16,8 @@ import torch
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
-from measured_files import BINS, merl_centres
-from mitsuba_pictures import Beckmann, Studio, conductor, diffuse, likeness, obstacle, table
+from helpers.measured_files import BINS, merl_centres
+from helpers.mitsuba_pictures import Beckmann, Studio, conductor, diffuse, likeness, obstacle, table
 
 from torchbrdf.lobes import CookTorrance, Lambert, Sum
 from torchbrdf.measured import load

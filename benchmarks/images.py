@@ -15,7 +15,7 @@ from torchbrdf.lobes import make_model
 from torchbrdf.losses import LOSSES, CosineRMSLoss
 from torchbrdf.measured import load_all
 from torchbrdf.render import Environment, RenderedLoss, Scene, View, blob, render, sphere
-from torchbrdf.render.raster import rasterize
+from torchbrdf.render.raster.raster import rasterize
 
 ANALYTIC = ("rms", "cosine", "cuberoot", "compressed", "log")
 

@@ -10,9 +10,9 @@ import torch
 from common import seconds
 
 from torchbrdf import fit, load
-from torchbrdf.human import uniform_pairs
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, LearnedLoss
+from torchbrdf.perception import uniform_pairs
 
 
 def slope(loss, prediction, *rest):

@@ -24,7 +24,7 @@ from torchbrdf.fitting.variables import limits
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import Problem
 from torchbrdf.measured import load
-from torchbrdf.workers import each_apart
+from torchbrdf.parallel import each_apart
 
 STARTS, FINISHED, SAMPLES, SEED = 64, 3, 20_000, 0
 

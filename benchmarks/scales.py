@@ -9,7 +9,7 @@ from common import Timer
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from torchbrdf.study.scaling import PRIOR, Comparisons, bootstrap, most_likely, scale, simulated_wins
+from torchbrdf.psychophysics import PRIOR, Comparisons, bootstrap, most_likely, scale, simulated_wins
 
 MATERIALS, STIMULI, OBSERVERS, DRAWS, LOOPED = 10, 9, 15, 1000, 200
 

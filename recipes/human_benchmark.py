@@ -12,7 +12,8 @@ import torch
 
 from torchbrdf.errors import TorchbrdfError, UsageError
 from torchbrdf.files import replacing, write_text
-from torchbrdf.human import (
+from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.perception import (
     FACTORS,
     Distances,
     Seen,
@@ -27,8 +28,7 @@ from torchbrdf.human import (
     tabulate,
     uniform_pairs,
 )
-from torchbrdf.human.made_up import made_up
-from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.perception.datasets.synthetic import made_up
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.render import Environment, RenderedLoss, Scene, View, sphere
 from torchbrdf.report import HumanPage, write_human_report

@@ -13,7 +13,11 @@ import torch
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import replacing, write_text
-from torchbrdf.human import (
+from torchbrdf.lobes import model_of, read_fits
+from torchbrdf.losses import LOSSES
+from torchbrdf.losses.learned import form
+from torchbrdf.measured import load_all, standins
+from torchbrdf.perception import (
     Opinions,
     Seen,
     Subjects,
@@ -21,13 +25,18 @@ from torchbrdf.human import (
     read_subjects,
     uniform_pairs,
 )
-from torchbrdf.human.lesson import Lesson, joined, lesson_of, lesson_of_choices
-from torchbrdf.human.made_up import MADE_UP, made_up
-from torchbrdf.human.training import Course, Split, best_iteration, finished, formulas, held_out, splits, train
-from torchbrdf.lobes import model_of, read_fits
-from torchbrdf.losses import LOSSES
-from torchbrdf.losses.learned import form
-from torchbrdf.measured import load_all, standins
+from torchbrdf.perception.datasets.synthetic import MADE_UP, made_up
+from torchbrdf.perception.learning.training import (
+    Course,
+    Split,
+    best_iteration,
+    finished,
+    formulas,
+    held_out,
+    splits,
+    train,
+)
+from torchbrdf.perception.learning.training_set import Lesson, joined, lesson_of, lesson_of_choices
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.report import STANDINS, MetricPage, write_metric_report
 from torchbrdf.study import MEASURED, read_answers, simulated

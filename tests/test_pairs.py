@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from directions import from_half_diff, hemisphere
+from helpers.directions import from_half_diff, hemisphere
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from torch import Tensor

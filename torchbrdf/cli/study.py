@@ -225,7 +225,7 @@ def scale_command(options: Options) -> int:
 
 def power_command(options: Options) -> int:
     """`torchbrdf study power`."""
-    from torchbrdf.study.scaling import observers_needed
+    from torchbrdf.psychophysics import observers_needed
 
     needed = observers_needed(options.difference, power=options.power, alpha=options.alpha, stimuli=options.stimuli)
     what = "two stimuli" if options.stimuli == 2 else f"the two ends of {options.stimuli} stimuli"

@@ -11,7 +11,7 @@ from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.workers import each, each_apart
+from torchbrdf.parallel import each, each_apart
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
 BUDGET = 4_000_000

@@ -11,8 +11,8 @@ from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
+from torchbrdf.parallel import each
 from torchbrdf.render.scene import Chunk, Scene
-from torchbrdf.workers import each
 
 # Measured tables that are open at once.
 _TABLES = 12

@@ -10,17 +10,17 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
-from torchbrdf.render.cache import digest, kept
-from torchbrdf.render.environment import Environment
-from torchbrdf.render.lamps import Lamp
-from torchbrdf.render.mesh import Mesh
-from torchbrdf.render.pixels import see
-from torchbrdf.render.quadrature import Fixed, Lit, Mirror, Part
-from torchbrdf.render.raster import View
-from torchbrdf.render.transport import Block, Transport, compact, gathered
+from torchbrdf.render.light.environment import Environment
+from torchbrdf.render.light.punctual import Lamp
+from torchbrdf.render.raster.camera import View
+from torchbrdf.render.raster.mesh import Mesh
+from torchbrdf.render.raster.pixels import see
+from torchbrdf.render.transport.cache import digest, kept
+from torchbrdf.render.transport.quadrature import Fixed, Lit, Mirror, Part
+from torchbrdf.render.transport.transport import Block, Transport, compact, gathered
 
 if TYPE_CHECKING:
-    from torchbrdf.render.shadows import Occluder
+    from torchbrdf.render.transport.shadows import Occluder
 
 Chunk = tuple[Tensor, Pairs, Tensor]
 
@@ -36,7 +36,7 @@ class Scene:
 
     mesh, view: what is seen, and from where. environment: light from all around; the bundled grove, if there are no
     `lamps` either, which are point and directional lights. size: pixels of a side. nodes, lights: of the quadrature,
-    see `torchbrdf.render.quadrature`: nodes around each pixel's mirror direction, so that lobes of any sharpness are
+    see `render.transport.quadrature`: nodes around each pixel's mirror direction, so that lobes of any sharpness are
     drawn with the same few lights, and lights that stand for the environment elsewhere. shadows: whether the object
     casts shadows on itself (a convex one has none). There is no interreflection. backend: what finds the triangle of
     each pixel, software, pyrender, or auto. resolution: bins of theta_h, theta_d and phi_d of the compact pairs.
@@ -157,6 +157,6 @@ class Scene:
 
 
 def _occluder(mesh: Mesh) -> "Occluder":
-    from torchbrdf.render.shadows import Occluder  # late, because only shadows need a ray caster
+    from torchbrdf.render.transport.shadows import Occluder  # late, because only shadows need a ray caster
 
     return Occluder(mesh)

@@ -6,7 +6,7 @@ import platform
 
 import torch
 
-from torchbrdf.render.backends import find_opengl
+from torchbrdf.render.raster.backends import find_opengl
 
 
 def system_facts() -> dict[str, object]:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import torch
 
+from torchbrdf.psychophysics import Comparisons, scale
 from torchbrdf.report.drawing import marked
 from torchbrdf.report.labels import difference_label, loss_label
 from torchbrdf.report.study import DIFFERENCE, Study, picture
 from torchbrdf.study import MEASURED, Answer, Experiment, Material, Plan, Stimulus, simulate, write_answers
 from torchbrdf.study.plan import PLAN
-from torchbrdf.study.scaling import Comparisons, scale
 
 # The paper's experiments: every model under every metric, and the models under one metric beside the measured material.
 FIRST, SECOND = "1", "2"

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from scipy.stats import spearmanr
 
+from torchbrdf.psychophysics import Scales
 from torchbrdf.report.labels import loss_label, model_label
 from torchbrdf.study import MEASURED, Plan
-from torchbrdf.study.scaling import Scales
 
 CLAIMED = "cuberoot"
 OVER = ("rms", "cosine")

@@ -13,9 +13,9 @@ from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.images.differences.delta_e import lab
 from torchbrdf.lobes import model_of
+from torchbrdf.parallel import each
 from torchbrdf.render import Scene, render
 from torchbrdf.report.study import Study, picture
-from torchbrdf.workers import each
 
 # A colour difference that the maps show as the brightest colour.
 BRIGHTEST = 20.0

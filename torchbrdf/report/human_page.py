@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from torchbrdf.files import write_text
-from torchbrdf.human import FACTORS, Subjects, Table
-from torchbrdf.human.made_up import MADE_UP
-from torchbrdf.human.table import APART, LABELS, ODD_METHOD
 from torchbrdf.losses import LearnedLoss
+from torchbrdf.perception import FACTORS, Subjects, Table
+from torchbrdf.perception.agreement.table import APART, LABELS, ODD_METHOD
+from torchbrdf.perception.datasets.synthetic import MADE_UP
 from torchbrdf.report.drawing import COLORS, drawing, marked
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from torchbrdf.psychophysics import Comparisons, Method, ObserverReport, Scales, observer_reports, scale
 from torchbrdf.report.claims import confused
 from torchbrdf.report.labels import loss_label, model_label
 from torchbrdf.report.scale_figures import Line, Shown, dots_figure, lines_figure
 from torchbrdf.study import MEASURED, Answer, Plan
-from torchbrdf.study.scaling import Comparisons, Method, ObserverReport, Scales, observer_reports, scale
 
 # More lines than these are no figure any more.
 MOST_LINES = 12

@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from torchbrdf.files import write_text
-from torchbrdf.human.table import LABELS
+from torchbrdf.perception.agreement.table import LABELS
 from torchbrdf.report.drawing import drawing
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
@@ -21,7 +21,7 @@ Results = dict[str, dict[str, dict[str, list[float]]]]
 
 @dataclass(frozen=True)
 class MetricPage:
-    """table and methods: results of `torchbrdf.human.training.held_out`, with materials and with a method left out as
+    """table and methods: results of `perception.learning.training.held_out`, with materials and with a method left out as
     well; metric: what `metric.json` holds; curves: `(trainings, iterations, 2)`; best: the iteration that is taken;
     mark: what figures have to say."""
 

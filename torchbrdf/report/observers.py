@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.files import write_text
+from torchbrdf.psychophysics import Method, ObserverReport, agreement
 from torchbrdf.recipe import versions
 from torchbrdf.report.claims import claim, confused, mean_scales
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.judged import MOST_LINES, Judged, draw, judge
 from torchbrdf.report.labels import Cell
 from torchbrdf.study import MEASURED, Answer, Plan, simulated
-from torchbrdf.study.scaling import Method, ObserverReport, agreement
 
 SIMULATED_MARK = "simulated observers: not people"
 POOR = 0.01

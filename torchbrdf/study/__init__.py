@@ -1,7 +1,7 @@
 """Ask people: paired comparisons with a reference, their answers, and what they say.
 
 Nothing here needs torch, so that a server of a study starts at once; scales from answers are in
-`torchbrdf.study.scaling`.
+`torchbrdf.psychophysics`.
 """
 
 from torchbrdf.study.answers import Answer, read_answers, simulated, write_answers

@@ -1,0 +1,301 @@
+"""The global strategy: seeds, the best of many starts, bad input, whole databases, work in processes."""
+
+import importlib
+import json
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from helpers.known_models import Made, measured_from, some_pairs
+
+from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.fitting import Batches, Status, fit, score
+from torchbrdf.fitting.seeds import seeds
+from torchbrdf.fitting.solve import Task
+from torchbrdf.fitting.variables import evaluate, values_of
+from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model
+from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
+from torchbrdf.measured import Measured
+from torchbrdf.pairs import Pairs
+from torchbrdf.parallel import each, each_apart
+
+KINDS = ("ward", "cook_torrance", "ashikhmin_shirley")
+SHAPE = {"ward": ("roughness", 0.03, 0.3), "cook_torrance": ("roughness", 0.05, 0.4),
+         "ashikhmin_shirley": ("exponent", 800.0, 12.0)}  # fmt: skip
+
+
+def two_lobes(name, materials=1):
+    """A sharp and a broad lobe of different colours, somewhat different in each material."""
+    model = make_model(name, 2, torch.float64).batched(materials)
+    key, *shapes = SHAPE[name]
+    step = torch.linspace(1, 1.3, materials, dtype=torch.float64)[:, None]
+    model.parts()[0].albedo.data[:] = torch.tensor([0.2, 0.15, 0.1])
+    for part, shape, color in zip(model.parts()[1:], shapes, ([0.3, 0.25, 0.2], [0.2, 0.3, 0.4]), strict=True):
+        getattr(part, key).data = shape * step
+        part.specular.data[:] = torch.tensor(color, dtype=torch.float64)
+        if name != "ward":
+            part.f0.data[:] = 0.3
+    return model
+
+
+@pytest.mark.parametrize("loss", [RMSLoss(), CosineRMSLoss(), CompressedLoss(), LogLoss(), CubeRootLoss()])
+@pytest.mark.parametrize("name", KINDS)
+def test_it_finds_what_a_model_was_made_from(name, loss):
+    model = two_lobes(name, 2)
+    measured = Measured(Made(model, some_pairs()), dtype=torch.float64)
+    result = fit(make_model(name, 2), measured, loss, diffuse="fit", samples=None)
+    black = loss.error(torch.zeros_like(measured.values), measured.values, measured.pairs)
+    assert (result.error < 0.01 * black).all()
+    assert result.status == [Status.CONVERGED] * 2
+    assert [stage.name for stage in result.history] == ["7 starts, 2395 samples", "best 3, 2395 samples"]
+
+
+@pytest.mark.parametrize("loss", [RMSLoss(), CosineRMSLoss(), CubeRootLoss()])
+@pytest.mark.parametrize("name", KINDS)
+def test_it_is_never_worse_than_the_staged_procedure(name, loss):
+    """On materials that the model cannot be: those of another one, with noise."""
+    other = two_lobes(KINDS[(KINDS.index(name) + 1) % 3], 4)
+    measured = Measured(Made(other, some_pairs()), dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    measured.source.values *= (1 + 0.1 * torch.randn(measured.values.shape, generator=generator)).clamp_min(0.1)
+    staged, best = (fit(make_model(name, 2), measured, loss, strategy=s, samples=1500) for s in ("staged", "global"))
+    assert (best.error <= staged.error * 1.0005).all()
+    assert [stage.name for stage in best.history][-1] == "all 2395 samples"
+    lower, upper = best.model.bounds
+    assert ((best.model.pack() >= lower - 1e-12) & (best.model.pack() <= upper * (1 + 1e-12))).all()
+
+
+@pytest.mark.parametrize("lobes", [1, 2, 3])
+@pytest.mark.parametrize("name", KINDS)
+def test_seeds_are_near_the_truth(name, lobes):
+    """The best start, without any descent, explains most of a material; each start has its own shapes."""
+    pairs = some_pairs(1500)
+    truth = two_lobes(name, 2)
+    values = truth(pairs).detach()
+    model = make_model(name, lobes, torch.float64).batched(2)
+    task = Task(model, Problem(pairs, values), CosineRMSLoss())
+    start = values_of(model) | {(0, "albedo"): truth.parts()[0].albedo.detach()}
+    found = seeds(task, start, False, 4)
+    shapes = torch.cat([found[k, SHAPE[name][0]] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
+    for material in range(2):
+        assert len(torch.unique(shapes[:, material], dim=0)) == 4
+    model_at = {key: value[:2] for key, value in found.items()}  # the best start of each
+    error = CosineRMSLoss("none")(evaluate(model, model_at, pairs, list(range(lobes + 1))), values, pairs)
+    assert (
+        error < (0.7 if lobes == 1 else 0.35) * CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
+    ).all()
+    for (k, key), value in found.items():
+        bounded = model.parts()[k].declared[key]
+        assert value.shape[0] == 8 and (value >= bounded.lower).all() and (value <= bounded.upper).all()
+
+
+def test_a_model_without_a_diffuse_lobe():
+    truth = Sum(Ward(specular=0.3, roughness=0.04), Ward(specular=0.2, roughness=0.3)).double()
+    for diffuse in ("fit", "45:0"):
+        result = fit(Sum(Ward(), Ward()), measured_from(truth), CosineRMSLoss(), diffuse=diffuse, samples=None)
+        assert result.status == [Status.CONVERGED] and result.error.item() < 1e-4
+
+
+def test_lobes_of_different_kinds():
+    truth = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=0.04), LOBES["ashikhmin_shirley"](exponent=10.0))
+    measured = measured_from(truth.double())
+    start = Sum(Lambert(), Ward(), LOBES["ashikhmin_shirley"]())
+    result = fit(start, measured, CosineRMSLoss(), diffuse="fit", samples=None)
+    assert result.status == [Status.CONVERGED]
+    assert result.error.item() < 1e-3 * measured.values.square().mean().sqrt()
+
+
+def test_materials_with_pairs_of_their_own():
+    """As RGL's, and with weights."""
+    model = two_lobes("ward", 2)
+    several = [some_pairs(1200, seed).select(samples=slice(0, 900)) for seed in (0, 1)]
+    pairs = Pairs.from_directions(*(torch.cat([getattr(own, key) for own in several]) for key in ("wi", "wo")))
+    weight = torch.ones(2, 900, 1, dtype=torch.float64)
+    weight[1, ::7] = 0
+    measured = Measured.from_samples(pairs, model(pairs).detach(), weight)
+    result = fit(make_model("ward", 2), measured, RMSLoss(), diffuse="fit", samples=None)
+    assert result.status == [Status.CONVERGED] * 2
+    assert (result.error < 1e-3 * measured.values.square().mean((1, 2)).sqrt()).all()
+
+
+def test_a_model_that_needs_a_graph_gets_a_joint_polish():
+    truth = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=0.2)).double()
+    start = Sum(Lambert(), DistributionBased())
+    results = [fit(start, measured_from(truth), CosineRMSLoss(), strategy=s, samples=400, max_iterations=30)
+               for s in ("staged", "global")]  # fmt: skip
+    assert results[1].history[-1].name == "all parameters, all samples"
+    assert results[1].error.item() <= results[0].error.item() * 1.01
+
+
+def test_parameters_at_bounds_and_near_ties_are_reported():
+    truth = Sum(Lambert(albedo=0.2), Ward(specular=3.0, roughness=0.1)).double()
+    (record,) = fit(make_model("ward", 1), measured_from(truth), RMSLoss(), samples=None).records()
+    assert record["at_bounds"] == ["specular[0] = 1"]
+    assert record["starts"] == 7 and record["ties"] >= 0 and record["reason"] == ""
+
+
+def bad_materials():
+    """Seven materials: fine, partly NaN and negative, all zero, constant, all invalid, almost nothing, fine again."""
+    pairs = some_pairs(1000)
+    values = two_lobes("ward", 1)(pairs).detach().repeat(7, 1, 1)
+    values[1, ::5], values[1, 1::5] = math.nan, -1.0
+    values[2], values[3], values[4] = 0, 0.1, math.nan
+    values[5, 2:] = math.nan
+    return Measured.from_samples(pairs, values)
+
+
+@pytest.mark.parametrize("strategy", ["staged", "global"])
+@pytest.mark.parametrize("loss", [RMSLoss(), CubeRootLoss()])
+def test_bad_materials_say_so_and_leave_the_others_be(strategy, loss):
+    measured = bad_materials()
+    options = {"strategy": strategy, "diffuse": "fit", "samples": None, "max_theta": 90.0}
+    result = fit(make_model("ward", 2), measured, loss, **options)
+    assert result.status[4] == Status.NO_DATA and "no valid sample" in result.reason[4]
+    assert result.status[5] == Status.TOO_FEW_SAMPLES and "6 valid values for 11 parameters" in result.reason[5]
+    assert result.error[[0, 1, 2, 3, 6]].isfinite().all() and result.error[2].item() < 1e-6
+    alone = fit(make_model("ward", 2), measured.batch([0]), loss, **options)
+    for k in (0, 6):
+        torch.testing.assert_close(result.error[k], alone.error[0], rtol=1e-6, atol=1e-12)
+    for status, reason in zip(result.status, result.reason, strict=True):
+        assert (status == Status.CONVERGED) == (reason == "")
+
+
+def test_a_start_outside_its_bounds():
+    measured = measured_from(two_lobes("ward"), materials=3)
+    model = make_model("ward", 2, torch.float64).batched(3)
+    model.parts()[1].roughness.data[1] = 7.0
+    result = fit(model, measured, RMSLoss(), samples=300)
+    assert result.status[1] == Status.BAD_START and "Ward.roughness: expected 0.001 to 0.5, found 7" in result.reason[1]
+    assert result.status[0] == result.status[2] == Status.CONVERGED
+    model.parts()[1].roughness.data[:] = 7.0
+    with pytest.raises(ShapeError, match="found 7"):
+        fit(model, measured, RMSLoss(), samples=300)
+
+
+def test_the_subset_is_a_fair_sample_of_the_whole():
+    """Both errors are those of the final parameters, and agree as a sample of that size can."""
+    measured = measured_from(two_lobes("cook_torrance"), some_pairs(60_000))
+    result = fit(make_model("ward", 2), measured, CubeRootLoss(), samples=3000)
+    assert result.error.item() == pytest.approx(score(result.model, measured.within(80.0), [CubeRootLoss()]).item())
+    assert result.subset_error.item() == pytest.approx(result.error.item(), rel=0.05)
+    assert result.subset_error.item() != result.error.item()
+    assert len(result.history) == 4  # with a share of all between
+
+
+# --- a whole database ---------------------------------------------------------------------------------------------
+
+
+def test_batches_are_taken_up_where_they_stopped(tmp_path, monkeypatch):
+    measured = measured_from(two_lobes("ward", 5), some_pairs(600), materials=5)
+    monkeypatch.setattr("torchbrdf.fitting.batches.SIZE", 1)
+    options = {"strategy": "global", "samples": 300, "max_theta": 80.0, "diffuse": "45:0", "seed": 0}
+
+    def stop(done):
+        if stop.left == 0:
+            raise KeyboardInterrupt
+        stop.left -= done
+
+    stop.left = torch.get_num_threads()
+    with pytest.raises(KeyboardInterrupt):
+        Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **options).run([measured], stop)
+    first = json.loads((tmp_path / "fits.json").read_text())
+    assert 0 < len(first) < 5
+    counted = []
+    again = Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **options).run([measured], counted.append)
+    assert counted[0] == len(first) and sum(counted) == 5
+    assert [record["material"] for record in again] == measured.names
+    assert again[: len(first)] == first
+    assert len(json.loads((tmp_path / "fits.json").read_text())) == 5
+    for change in ({"seed": 1}, {"samples": 200}, {"strategy": "staged"}):
+        with pytest.raises(DataError, match=f"{next(iter(change))}.*give another folder"):
+            Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **{**options, **change})
+    with pytest.raises(DataError, match="loss"):
+        Batches(make_model("ward", 1), CubeRootLoss(), out=tmp_path, **options)
+
+
+# --- processes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("run", [each, each_apart])
+def test_workers_keep_the_order_and_leave_the_threads(run, two_threads):
+    def work(k):
+        assert not torch.is_grad_enabled() and torch.get_num_threads() == 1
+        return torch.full((2,), float(k)), os.getpid()
+
+    found = list(run(work, list(range(7))))
+    assert [int(value[0]) for value, _ in found] == list(range(7))
+    assert torch.get_num_threads() == 2
+    assert (os.getpid() in {process for _, process in found}) == (run is each)
+
+
+def test_what_a_worker_raises_is_raised(two_threads):
+    def work(k):
+        if k == 1:
+            raise DataError("material 1 is odd")
+        return k
+
+    with pytest.raises(DataError, match="material 1 is odd"):
+        list(each_apart(work, [0, 1, 2]))
+
+
+def test_a_worker_that_dies_is_said(two_threads):
+    with pytest.raises(RuntimeError, match="ended without an answer"):
+        list(each_apart(lambda k: os._exit(3), [0, 1, 2]))
+
+
+def test_processes_do_not_wait_for_locks_of_threads_that_are_gone():
+    """Products in threads, then in forks: MKL's allocator made this hang within a few rounds."""
+    code = """if True:
+        import torch
+        from torchbrdf.parallel import each, each_apart
+
+        torch.set_num_threads(2)
+        a, b = torch.rand(4, 3, 33, 4000, dtype=torch.float64), torch.rand(1, 4000, 33, dtype=torch.float64)
+        work = lambda k: sum((a @ b).sum().item() for _ in range(4))
+        for _ in range(6):
+            torch.rand(3, 500, 500, requires_grad=True).square().sum().backward()
+            list(each(work, [0, 1]))
+            list(each_apart(work, [0, 1, 2, 3]))
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_processes_find_what_threads_find(two_threads, monkeypatch):
+    measured = measured_from(two_lobes("ward", 4), some_pairs(600), materials=4)
+    results = []
+    for heavy in (10**9, 0):
+        monkeypatch.setattr(importlib.import_module("torchbrdf.fitting.score"), "HEAVY", heavy)
+        results.append(fit(make_model("ward", 2), measured, RMSLoss(), samples=300))
+    assert torch.equal(results[0].model.pack(), results[1].model.pack())
+    assert torch.equal(results[0].error, results[1].error)
+
+
+# --- devices ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("strategy", ["staged", "global"])
+def test_a_gpu_finds_what_the_cpu_finds(strategy):
+    measured = measured_from(two_lobes("cook_torrance", 3), some_pairs(2000), materials=3)
+    options = {"strategy": strategy, "samples": 500}
+    here, there = (fit(make_model("ward", 2), m, CubeRootLoss(), **options) for m in (measured, measured.to("cuda")))
+    torch.testing.assert_close(there.error, here.error, rtol=1e-3, atol=0)
+
+
+def test_a_large_batch_is_cut_for_the_cache_and_for_memory():
+    groups = importlib.import_module("torchbrdf.fitting.score").groups
+    measured = measured_from(two_lobes("ward"), some_pairs(1000), materials=9)
+    found = list(groups(measured))
+    assert [k for group in found for k in group] == list(range(9))
+    assert max(map(len, found)) <= -(-9 // torch.get_num_threads())

@@ -1,0 +1,360 @@
+"""What every registered lobe keeps to. A new lobe gets all of these by being registered."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers.directions import hemisphere
+from torch import Tensor
+
+from torchbrdf.errors import ShapeError
+from torchbrdf.lobes import LOBES, Bounded, Lambert, Lobe, Sum, Ward
+from torchbrdf.pairs import Pairs
+
+DTYPES = [torch.float32, torch.float64]
+# How many combinations of parameters at their bounds a test goes through at most.
+CORNERS = 2048
+every_lobe = pytest.mark.parametrize("name", LOBES)
+
+
+def middle(bounded: Bounded) -> float:
+    """A value well inside the bounds, where nothing is negligible."""
+    if bounded.log:
+        return math.sqrt(bounded.lower * bounded.upper)
+    return (bounded.lower + min(bounded.upper, 1.0)) / 2
+
+
+def values(name: str, *lead: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+    """Different parameters of the shape (*lead, k), within a factor of 2 of the middle."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def around(bounded: Bounded) -> Tensor:
+        factor = 2 ** (torch.rand(*lead, *bounded.shape, generator=generator, dtype=torch.float64) - 0.5)
+        return (middle(bounded) * factor).to(dtype)
+
+    return {key: around(bounded) for key, bounded in LOBES[name].declared.items()}
+
+
+def made(name: str, *lead: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Lobe:
+    return LOBES[name](**values(name, *lead, seed=seed, dtype=dtype))
+
+
+def some_pairs(*shape: int, dtype: torch.dtype = torch.float64) -> Pairs:
+    """Directions above the horizon, within reach of the mirror direction, so that sharp lobes are not 0."""
+    wi = hemisphere(*shape, seed=1)
+    mirror = wi * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)
+    near = mirror + 0.1 * hemisphere(*shape, seed=2)
+    return Pairs.from_directions(wi.to(dtype), (near / near.norm(dim=-1, keepdim=True)).to(dtype))
+
+
+def extreme_pairs(dtype: torch.dtype) -> Pairs:
+    """Every combination of heights down to grazing, with the azimuths of mirror, retro and sideways reflection."""
+    cos = torch.tensor([1.0, 0.5, 1e-3, 1e-6, 1e-12, 1e-30], dtype=dtype)
+    turn = torch.tensor([0, 1e-3, math.pi / 2, math.pi - 1e-3, math.pi], dtype=dtype)
+    cos_i, cos_o, phi = torch.cartesian_prod(cos, cos, turn).unbind(-1)
+    sin_i, sin_o = (1 - cos_i**2).sqrt(), (1 - cos_o**2).sqrt()
+    wi = torch.stack([sin_i, torch.zeros_like(sin_i), cos_i], -1)
+    side = torch.where(phi == math.pi, 0.0, phi.sin())  # so that the mirror direction is exactly that
+    return Pairs.from_directions(wi, torch.stack([sin_o * phi.cos(), sin_o * side, cos_o], -1))
+
+
+@every_lobe
+def test_function_and_module_agree(name: str) -> None:
+    parameters, pairs = values(name), some_pairs(20)
+    lobe = LOBES[name](**parameters)
+    torch.testing.assert_close(lobe(pairs), LOBES[name].function(pairs, *parameters.values()), rtol=0, atol=0)
+    torch.testing.assert_close(lobe(pairs), LOBES[name].function(pairs, **parameters), rtol=0, atol=0)
+
+
+@every_lobe
+@pytest.mark.parametrize("shape", [(7,), (1, 7), (3, 7), (2, 3, 7)])
+@pytest.mark.parametrize("lead", [(), (3,), (1,), (2, 3)])
+def test_any_leading_dimensions(name: str, lead: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    """Parameters (..., k) and pairs (..., N) broadcast, as computed one by one."""
+    parameters, pairs = values(name, *lead), some_pairs(*shape)
+    result = LOBES[name].function(pairs, *parameters.values())
+    full = torch.broadcast_shapes(lead, shape[:-1])
+    assert result.shape == (*full, 7, 3)
+    wi, wo = pairs.wi.expand(*full, 7, 3), pairs.wo.expand(*full, 7, 3)
+    declared = LOBES[name].declared
+    spread = {key: value.expand(*full, *declared[key].shape) for key, value in parameters.items()}
+    for index in np.ndindex(*full):
+        one = [value[index] for value in spread.values()]
+        expected = LOBES[name].function(Pairs.from_directions(wi[index], wo[index]), *one)
+        torch.testing.assert_close(result[index], expected, rtol=1e-12, atol=0)
+
+
+@every_lobe
+def test_parameters_for_each_pixel(name: str) -> None:
+    parameters, pairs = values(name, 4, 5), some_pairs(7)
+    result = LOBES[name].function(pairs, *parameters.values())
+    assert result.shape == (4, 5, 7, 3)
+    one = [value[3, 2] for value in parameters.values()]
+    torch.testing.assert_close(result[3, 2], LOBES[name].function(pairs, *one), rtol=1e-12, atol=0)
+
+
+@every_lobe
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_dtype_follows_the_inputs(name: str, dtype: torch.dtype) -> None:
+    assert made(name, dtype=dtype)(some_pairs(4, dtype=dtype)).dtype == dtype
+    assert all(value.dtype == dtype for value in LOBES[name](dtype=dtype).parameters())
+
+
+@every_lobe
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_zero_below_the_horizon(name: str, dtype: torch.dtype) -> None:
+    """Exactly 0, with gradients that are numbers: also where the half vector is on the horizon or there is none."""
+    down = torch.tensor([1.0, 1.0, -1.0], dtype=dtype)
+    wi, wo = hemisphere(50, seed=5, dtype=dtype), hemisphere(50, seed=6, dtype=dtype)
+    on_horizon = torch.tensor([[1.0, 0.0, 0.0]], dtype=dtype).expand(50, 3)
+    for pair in [
+        (wi, wo * down),
+        (wi * down, wo),
+        (wi * down, wo * down),
+        (wi, wi * down),
+        (wi, -wi),
+        (on_horizon, wo),
+    ]:
+        lobe = made(name, dtype=dtype)
+        result = lobe(Pairs.from_directions(*pair))
+        assert (result == 0).all()
+        result.sum().backward()
+        for value in lobe.parameters():
+            assert (value.grad == 0).all()
+
+
+@every_lobe
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_finite_everywhere(name: str, dtype: torch.dtype) -> None:
+    """Values and gradients at grazing directions and at every corner of the bounds, or at many of them."""
+    pairs, declared = extreme_pairs(dtype), LOBES[name].declared
+    choices = torch.tensor([[b.lower, b.start, middle(b), b.upper] for b in declared.values()], dtype=dtype)
+    if 4 ** len(declared) <= CORNERS:
+        corners = torch.cartesian_prod(*choices).reshape(-1, len(declared))
+    else:  # too many for all of them
+        generator = torch.Generator().manual_seed(0)
+        drawn = torch.randint(4, (CORNERS, len(declared)), generator=generator)
+        corners = torch.cat([choices.T, choices.T[drawn, torch.arange(len(declared))]])
+    parameters = [
+        corners[:, k].reshape(-1, *[1] * len(bounded.shape)).expand(-1, *bounded.shape).clone().requires_grad_()
+        for k, bounded in enumerate(declared.values())
+    ]
+    result = LOBES[name].function(pairs, *parameters)
+    assert result.isfinite().all()
+    assert (result >= 0).all()
+    # Values reach 1e26 at grazing directions; compressed, the others have a say as well.
+    for total in (result.sum(), torch.log1p(result).sum()):
+        for key, gradient in zip(declared, torch.autograd.grad(total, parameters, retain_graph=True), strict=True):
+            assert gradient.isfinite().all(), key
+
+
+@every_lobe
+def test_float32_keeps_the_digits(name: str) -> None:
+    """Against float64 on the same float32 directions, with the sharpest lobes of the bounds."""
+    pairs = some_pairs(2000, dtype=torch.float32)
+    wi = pairs.wi
+    near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 1e-3 * hemisphere(2000, seed=8, dtype=torch.float32)
+    sharp = Pairs.from_directions(wi, near / near.norm(dim=-1, keepdim=True))
+    for bound in ("lower", "start", "upper"):
+        lobe = LOBES[name](**{key: getattr(b, bound) or middle(b) for key, b in LOBES[name].declared.items()})
+        exact = copy.deepcopy(lobe).double()
+        for case in (pairs, sharp):
+            expected = exact(Pairs.from_directions(case.wi.double(), case.wo.double()))
+            error = (lobe(case).double() - expected).abs() / (expected + 1e-6 * expected.max())
+            assert error.max() < 2e-4
+
+
+@every_lobe
+def test_gradcheck(name: str) -> None:
+    pairs = some_pairs(4)
+    parameters = [value.requires_grad_() for value in values(name, 2).values()]
+    assert torch.autograd.gradcheck(lambda *p: LOBES[name].function(pairs, *p), parameters)
+
+
+@every_lobe
+def test_gradcheck_of_directions(name: str) -> None:
+    parameters, pairs = values(name), some_pairs(6)
+    wi, wo = pairs.wi.clone().requires_grad_(), pairs.wo.clone().requires_grad_()
+
+    def function(wi: Tensor, wo: Tensor) -> Tensor:
+        return LOBES[name].function(Pairs.from_directions(wi, wo), *parameters.values())
+
+    assert torch.autograd.gradcheck(function, (wi, wo))
+
+
+@every_lobe
+def test_reciprocity(name: str) -> None:
+    lobe, pairs = made(name), some_pairs(500)
+    swapped = Pairs.from_directions(pairs.wo, pairs.wi)
+    torch.testing.assert_close(lobe(swapped), lobe(pairs), rtol=1e-12, atol=0)
+
+
+@every_lobe
+def test_turning_both_directions_changes_nothing(name: str) -> None:
+    lobe, pairs = made(name), some_pairs(100)
+    c, s = math.cos(0.7), math.sin(0.7)
+    turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
+    turned = Pairs.from_directions(pairs.wi @ turn.T, pairs.wo @ turn.T)
+    torch.testing.assert_close(lobe(turned), lobe(pairs), rtol=1e-9, atol=0)
+
+
+@every_lobe
+def test_linear_parameters_are_linear(name: str) -> None:
+    parameters, other, pairs = values(name), values(name, seed=9), some_pairs(50)
+    function, linear = LOBES[name].function, [key for key, b in LOBES[name].declared.items() if b.linear]
+    assert linear
+    for key in linear:
+        mixed = function(pairs, **{**parameters, key: 2 * parameters[key] - 3 * other[key]})
+        parts = 2 * function(pairs, **parameters) - 3 * function(pairs, **{**parameters, key: other[key]})
+        torch.testing.assert_close(mixed, parts, rtol=1e-10, atol=1e-14)
+
+
+@every_lobe
+def test_declarations(name: str) -> None:
+    lobe = LOBES[name]
+    assert lobe.declared
+    for key, bounded in lobe.declared.items():
+        assert getattr(lobe, key) is bounded
+        assert bounded.name == key
+        assert bounded.lower <= bounded.start <= bounded.upper
+        assert bounded.lower < bounded.upper
+        assert bounded.lower > 0 or not bounded.log
+        assert bounded.doc
+        assert (getattr(lobe(), key) == torch.tensor(bounded.start)).all()
+        assert getattr(lobe(), key).shape == bounded.shape
+
+
+@every_lobe
+@pytest.mark.parametrize("batch", [None, 1, 3])
+def test_pack_and_unpack(name: str, batch: int | None) -> None:
+    lead = () if batch is None else (batch,)
+    lobe = Sum(made(name, *lead), made(name, *lead, seed=4))
+    size = 2 * sum(bounded.size for bounded in LOBES[name].declared.values())
+    packed = lobe.pack()
+    assert packed.shape == (*lead, size)
+    assert not packed.requires_grad
+    other = lobe.unpack(packed * 1.5)
+    torch.testing.assert_close(other.pack(), packed * 1.5, rtol=0, atol=0)
+    torch.testing.assert_close(lobe.pack(), packed, rtol=0, atol=0)
+    again = other.unpack(packed)
+    torch.testing.assert_close(again(some_pairs(*lead, 5)), lobe(some_pairs(*lead, 5)), rtol=0, atol=0)
+    for value, like in zip(again.parameters(), lobe.parameters(), strict=True):
+        assert value.shape == like.shape
+    with pytest.raises(ShapeError, match=rf"unpack: expected \(\.\.\., {size}\), found \(2,\)"):
+        lobe.unpack(torch.zeros(2, dtype=torch.float64))
+
+
+@every_lobe
+def test_bounds_are_in_the_order_of_pack(name: str) -> None:
+    lobe = Sum(LOBES[name](), Ward())
+    lower, upper = lobe.bounds
+    assert lower.shape == upper.shape == lobe.pack().shape
+    assert lower.dtype == lobe.pack().dtype
+    at_lower, at_upper = lobe.unpack(lower), lobe.unpack(upper)
+    for low, high, (_, bounded) in zip(at_lower.slots(), at_upper.slots(), lobe.slots(), strict=True):
+        assert (getattr(low[0], bounded.name) == torch.tensor(bounded.lower)).all()
+        assert (getattr(high[0], bounded.name) == torch.tensor(bounded.upper)).all()
+
+
+@every_lobe
+def test_batched(name: str) -> None:
+    lobe, pairs = made(name), some_pairs(1, 5)
+    batch = lobe.batched(4)
+    assert batch(pairs).shape[-3] in (1, 4)
+    torch.testing.assert_close(batch(pairs), lobe(pairs).expand(batch(pairs).shape), rtol=1e-12, atol=0)
+    for key, bounded in LOBES[name].declared.items():
+        assert getattr(batch, key).shape == (4, *bounded.shape)
+        assert getattr(lobe, key).shape == bounded.shape
+    with torch.no_grad():
+        next(batch.parameters())[0].mul_(0.5)
+    assert not torch.equal(batch(pairs)[0], batch(pairs)[1])
+    with pytest.raises(ShapeError, match="4 materials, not 3"):
+        batch.batched(3)
+
+
+@every_lobe
+@pytest.mark.parametrize("lead", [(), (3,)])
+def test_state_dict(name: str, lead: tuple[int, ...]) -> None:
+    lobe, pairs = Sum(Lambert(albedo=torch.rand(*lead, 3).double()), made(name, *lead)), some_pairs(5)
+    other = Sum(Lambert(), LOBES[name]()).double()
+    other = other.batched(*lead) if lead else other
+    assert not torch.equal(other(pairs), lobe(pairs))
+    other.load_state_dict(lobe.state_dict())
+    torch.testing.assert_close(other(pairs), lobe(pairs), rtol=0, atol=0)
+    torch.testing.assert_close(copy.deepcopy(lobe)(pairs), lobe(pairs), rtol=0, atol=0)
+
+
+@every_lobe
+def test_compiles(name: str) -> None:
+    torch._dynamo.reset()
+    parameters, pairs = values(name, 2), some_pairs(5)
+    lobe = Sum(Lambert(dtype=torch.float64), LOBES[name](**parameters))
+
+    def function(wi: Tensor, wo: Tensor, *parameters: Tensor) -> Tensor:
+        return LOBES[name].function(Pairs.from_directions(wi, wo), *parameters)
+
+    compiled = torch.compile(function, backend="eager", fullgraph=True)
+    expected = LOBES[name].function(some_pairs(5), *parameters.values())
+    torch.testing.assert_close(compiled(pairs.wi, pairs.wo, *parameters.values()), expected)
+    torch.testing.assert_close(torch.compile(lobe, backend="eager", fullgraph=True)(pairs), lobe(some_pairs(5)))
+
+
+@every_lobe
+def test_unknown_and_misshapen_parameters_are_refused(name: str) -> None:
+    lobe = LOBES[name]
+    known = ", ".join(lobe.declared)
+    with pytest.raises(ShapeError, match=rf"^{lobe.__name__}: unknown parameter 'shininess'; expected {known}$"):
+        lobe(shininess=1.0)
+    key = next(iter(lobe.declared))
+    with pytest.raises(ShapeError, match=rf"^{lobe.__name__}\.{key}: expected \(\.\.\., .*3\), found \(2,\)$"):
+        lobe(**{key: torch.ones(2)})
+
+
+@every_lobe
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_cuda(name: str) -> None:
+    lobe, pairs = made(name, 3), some_pairs(3, 100)
+    result = copy.deepcopy(lobe).cuda()(pairs.to("cuda"))
+    assert result.is_cuda
+    torch.testing.assert_close(result.cpu(), lobe(pairs), rtol=1e-10, atol=0)
+
+
+def test_numbers_and_lists_as_parameters() -> None:
+    assert Lambert(albedo=0.25).albedo.tolist() == [0.25] * 3
+    assert Lambert(albedo=[0.25, 0.5, 1]).albedo.tolist() == [0.25, 0.5, 1]
+    assert Lambert(albedo=1).albedo.dtype == torch.get_default_dtype()
+    assert Ward(roughness=torch.full((4, 1), 0.5)).roughness.shape == (4, 1)
+
+
+def test_sum() -> None:
+    pairs, lobes = some_pairs(20), [made("lambert"), made("ward"), made("cook_torrance")]
+    total = Sum(Sum(lobes[0], lobes[1]), lobes[2])
+    assert total.parts() == lobes
+    torch.testing.assert_close(total(pairs), lobes[0](pairs) + lobes[1](pairs) + lobes[2](pairs))
+    assert [bounded.name for _, bounded in total.slots()] == [
+        *["albedo", "specular", "roughness"],
+        *["specular", "roughness", "f0"],
+    ]
+    with pytest.raises(ShapeError, match="Sum: expected at least one lobe, found none"):
+        Sum()
+
+
+def test_gradients_reach_every_part() -> None:
+    total = Sum(made("lambert"), made("ward"), made("ward", seed=3))
+    total(some_pairs(20)).sum().backward()
+    for value in total.parameters():
+        assert (value.grad != 0).all()
+
+
+@pytest.mark.parametrize("bad", [(0.5, 1.0, 0.0), (2.0, 0.0, 1.0), (-1.0, 0.0, 1.0)])
+def test_bounds_the_wrong_way_round_are_refused(bad: tuple[float, float, float]) -> None:
+    """A lobe cannot even be declared with them; before Python 3.12 the error is wrapped."""
+    with pytest.raises((ShapeError, RuntimeError)) as raised:
+
+        class Odd(Lobe):
+            width = Bounded(*bad, doc="")
+
+    error = raised.value if isinstance(raised.value, ShapeError) else raised.value.__cause__
+    assert isinstance(error, ShapeError) and "Odd.width: expected lower <= start <= upper" in str(error)

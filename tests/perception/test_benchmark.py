@@ -1,0 +1,157 @@
+"""The benchmark of losses against human answers, on made-up ones."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.losses import LOSSES, LearnedLoss
+from torchbrdf.measured.catalogue import MERL_NAMES
+from torchbrdf.perception import Distances, statistics_of, tabulate
+from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.recipe import RECIPES, configure, run
+from torchbrdf.report.human_page import trained
+
+SETTINGS = {"quick": "true", "images": "true"}
+
+
+def benchmark(**settings):
+    return configure(RECIPES["human_benchmark"], settings)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("benchmark") / "out"
+    run(benchmark(**SETTINGS), folder)
+    return folder
+
+
+def test_every_loss_has_a_score_with_an_interval(out):
+    records = json.loads((out / "scores.json").read_text())
+    names = {record["loss"] for record in records}
+    assert names == {*LOSSES, "rendered_delta_e"}
+    assert {record["statistic"] for record in records} == {"majority", "votes", "pairs", "apart", "across"}
+    assert len(records) == 5 * len(names)
+    for record in records:
+        assert 0 <= record["low"] <= record["agreement"] <= record["high"] <= 1
+        assert (record["ceiling"] is None) == (record["statistic"] == "majority")
+    with (out / "scores.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["agreement"]) for row in rows] == [record["agreement"] for record in records]
+
+
+def test_answers_drawn_around_cube_roots_are_told_best_by_cube_roots(out):
+    found = {(r["loss"], r["statistic"]): r["agreement"] for r in json.loads((out / "scores.json").read_text())}
+    for statistic in ("majority", "votes", "pairs", "apart", "across"):
+        assert found["cuberoot", statistic] > found["rms", statistic] + 0.05
+
+
+def test_the_page_says_in_large_letters_that_nobody_was_asked(out):
+    page = (out / "report.html").read_text()
+    assert re.search(r'class="made">MADE-UP ANSWERS\. Nobody was asked', page) and "font-size: 2em" in page
+    for words in ("Stand-ins.", "95&nbsp;%", "ceiling: people", "Better than cube root?", "data:image/png"):
+        assert words in page
+    assert "images=true" not in page and "<title>" in page and page.count("<h1>") == 1
+    assert "http://" not in page and "https://" not in page
+
+
+def test_what_is_scored_is_not_scored_again(out, monkeypatch):
+    before = {path: path.stat().st_mtime_ns for path in (out / "distances").iterdir()}
+    assert {path.stem for path in before} == {*LOSSES, "rendered_delta_e"}
+    (out / "distances" / "rms.npz").unlink()
+    scores = (out / "scores.json").read_text()
+    run(benchmark(**SETTINGS), out)
+    assert (out / "scores.json").read_text() == scores
+    changed = {path.stem for path in before if path.stat().st_mtime_ns != before[path]}
+    assert changed == {"rms"}
+
+    def no_need(*_):
+        raise AssertionError("looked at the values again")
+
+    monkeypatch.setattr("torchbrdf.recipes.human_benchmark.gather", no_need)
+    run(benchmark(**SETTINGS), out)
+    assert (out / "scores.json").read_text() == scores
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({}, "materials: expected a folder; quick=true runs on made-up answers"),
+        ({"materials": "merl"}, "human: expected a folder"),
+        ({"quick": "true", "samples": "1"}, "expected 2 samples"),
+        ({"quick": "true", "max_theta": "95"}, "max_theta: expected above 0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, said):
+    with pytest.raises(UsageError, match=said):
+        benchmark(**settings)
+
+
+def test_a_missing_file_is_named_with_where_it_comes_from(tmp_path):
+    recipe = benchmark(materials=str(tmp_path), human=str(tmp_path))
+    with pytest.raises(DataError, match="no such file; expected the fits"):
+        run(recipe, tmp_path / "out")
+
+
+def test_a_loss_that_fails_is_left_out_with_a_word(tmp_path, monkeypatch, caplog):
+    def fails(self, prediction, target, pairs=None, weight=None):
+        raise UsageError("not today")
+
+    monkeypatch.setattr(LOSSES["log"], "forward", fails)
+    report = run(benchmark(quick="true", losses="rms,log"), tmp_path / "out")
+    assert "log is left out: not today" in caplog.text and "log: not today" in report.read_text()
+    assert "Rendered-image losses were not scored" in report.read_text()
+    assert {r["loss"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())} == {"rms"}
+
+
+def study(folder):
+    """Files of a study about 100 diffuse materials, with approximations of ten; settings that name them."""
+    generator = np.random.default_rng(0)
+    names = sorted(MERL_NAMES, key=lambda name: f"{name}.binary")
+    model = Sum(Lambert(), Ward())
+    records = [{"material": name, "model": "ward", "lobes": 1, "parameters": parameters(model)} for name in names]
+    write_fits(folder / "materials.json", records)
+    questions = [generator.permutation(100)[:3].tolist() for _ in range(100)]
+    votes = [[int(first), 5 - int(first)] for first in generator.integers(0, 6, 100)]
+    (folder / "triplets.json").write_text(json.dumps({"answers": questions, "agreement": votes}))
+    rows = [f"{method},{name},{generator.random()}\n" for method in ("WARD", "SGD", "BAGHER") for name in names[:10]]
+    (folder / "opinions.csv").write_text("method,material,distance\n" + "".join(rows))
+    fits = {
+        name: {"model": "NganWard", "diffuse": [0.1, 0.2, 0.3], "specular": [shine] * 3, "roughness": 0.1}
+        for name, shine in zip(names[:10], generator.uniform(0.01, 0.1, 10), strict=True)
+    }
+    (folder / "fits.json").write_text(json.dumps({"ngan_ward": fits}))
+    settings = {"materials": str(folder / "materials.json"), "human": str(folder), "fits": "fits.json"}
+    return settings | {"triplets": "triplets.json", "opinions": "opinions.csv", "losses": "rms", "samples": "50"}
+
+
+def test_factors_are_one_more_method_where_there_is_a_file(tmp_path):
+    settings = study(tmp_path)
+
+    def keys():
+        page = run(benchmark(replicates="50", **settings), tmp_path / "out").read_text()
+        return {r["statistic"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())}, page
+
+    found, page = keys()
+    assert found == {"majority", "votes", "across"}
+    assert "Left out: BAGHER, SGD." in page and "With BAGHER" not in page
+    factors = np.random.default_rng(1).uniform(0.1, 1, (256, 512, 3)).astype("<f4")
+    (tmp_path / "npf.bin").write_bytes(factors.tobytes())
+    found, page = keys()  # the distances that are stored are of too few opinions
+    assert found == {"majority", "votes", "across", "pairs_with_bagher", "across_with_bagher", "apart_with_bagher"}
+    assert "Left out: SGD." in page and "<h3>With BAGHER</h3>" in page and "Without BAGHER." in page
+
+
+def test_a_trained_metric_is_said_to_have_seen_the_answers():
+    subjects = made_up(questions=20)
+    columns = statistics_of(subjects.triplets, subjects.opinions)
+    count = len(subjects.triplets.materials)
+    some = Distances(torch.rand(count, count, dtype=torch.float64), None)
+    (line,) = trained(tabulate(columns, {"learned": some, "rms": some}, replicates=3))
+    assert f"{LearnedLoss().provenance['held_out']['majority'][0]:.3f}" in line and "did not see" in line
+    assert trained(tabulate(columns, {"rms": some}, replicates=3)) == []

@@ -1,0 +1,325 @@
+"""Learning a metric from answers: the lesson, the likelihood, cross-validation, and the recipe."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from scipy.optimize import check_grad
+from scipy.stats import norm
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.lobes import make_model
+from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
+from torchbrdf.losses.learned import ROWS
+from torchbrdf.measured import load, standins
+from torchbrdf.perception import gather, uniform_pairs
+from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.perception.learning.training import (
+    LAPSE,
+    LEAST,
+    SHARE,
+    SLOPE,
+    Split,
+    best_iteration,
+    finished,
+    formulas,
+    held_out,
+    mismatch,
+    splits,
+    train,
+    within,
+)
+from torchbrdf.perception.learning.training_set import Lesson, joined, lesson_of, lesson_of_choices
+from torchbrdf.recipe import RECIPES, configure, run
+
+SUBJECTS = made_up(questions=200)
+SEEN = gather(SUBJECTS, uniform_pairs(300))
+LESSON = lesson_of(SUBJECTS, SEEN)
+ALL = Split("all", torch.ones(len(LESSON.names), dtype=torch.bool))
+
+
+def test_distances_of_a_lesson_are_those_of_the_loss() -> None:
+    weights = train(LESSON, ALL, 5).weights[-1]
+    named = finished(LESSON, weights)
+    loss = LearnedLoss(reduction="none", weights={"weights": named})
+    found = formulas(LESSON, SEEN, {"learned": loss})["learned"]
+    own = LESSON.distances(weights)
+    own = own / own[LESSON.method < 0].mean()
+    torch.testing.assert_close(found, own, rtol=2e-4, atol=1e-6)  # weights have four digits
+    assert float(found[LESSON.method < 0].mean()) == pytest.approx(1, rel=1e-3)
+
+
+def test_comparisons_are_those_of_the_statistics() -> None:
+    """A question of the triplets, a pair of opinions, found again among the lesson's places."""
+    triplets, opinions = SUBJECTS.triplets, SUBJECTS.opinions
+    asked = LESSON.asked["triplets"]
+    for k in (0, 17, 199):
+        reference, a, b = triplets.questions[k].tolist()
+        for place, candidate in ((asked.first[k], a), (asked.second[k], b)):
+            assert {int(LESSON.first[place]), int(LESSON.second[place])} == {reference, candidate}
+        assert float(asked.share[k]) == triplets.votes[k, 0] / triplets.votes[k].sum()
+    pairs = LESSON.asked["pairs"]
+    for k in range(len(pairs)):
+        one, other = (int(LESSON.first[place]) for place in (pairs.first[k], pairs.second[k]))
+        assert opinions.materials[one] == opinions.materials[other] and opinions.methods[one] != opinions.methods[other]
+        assert opinions.distance[one] < opinions.distance[other] and 0.5 < float(pairs.share[k]) <= 1
+    assert {LESSON.methods[int(k)] for k in LESSON.method[LESSON.method >= 0]} == set(opinions.methods)
+
+
+def test_the_mismatch_is_thurstones() -> None:
+    generator = torch.Generator().manual_seed(1)
+    weights = torch.rand(LESSON.terms.shape[1], generator=generator, dtype=torch.float64)
+    slopes = torch.tensor([0.3, -0.2], dtype=torch.float64)
+    distance, expected = LESSON.distances(weights), 0.0
+    for part, own in LESSON.asked.items():
+        slope = SLOPE[part] * float(slopes[0 if part == "triplets" else 1].exp())
+        total = 0.0
+        for k in range(len(own)):
+            z = max(-6.0, min(6.0, slope * float(distance[own.second[k]] - distance[own.first[k]])))
+            p = LAPSE + (1 - 2 * LAPSE) * norm.cdf(z)
+            share = float(own.share[k])
+            total -= float(own.count[k]) * (share * norm.logpdf(0) * 0 + share * _log(p) + (1 - share) * _log(1 - p))
+        expected += SHARE[part] * total / float(own.count.sum())
+    assert float(mismatch(LESSON, LESSON.asked, weights, slopes)) == pytest.approx(expected, rel=1e-10)
+
+
+def _log(p: float) -> float:
+    return float(torch.tensor(p, dtype=torch.float64).log())
+
+
+def test_its_gradient_is_finite_where_two_are_equal() -> None:
+    equal = Lesson(**{**vars(LESSON), "terms": LESSON.terms * 0})
+    weights = torch.ones(LESSON.terms.shape[1], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(mismatch(equal, equal.asked, weights, torch.zeros(2, dtype=torch.float64)), weights)
+    assert bool(slope.isfinite().all())
+
+    def value(x):
+        return float(mismatch(LESSON, LESSON.asked, torch.from_numpy(x), torch.zeros(2, dtype=torch.float64)))
+
+    def gradient(x):
+        point = torch.from_numpy(x).requires_grad_()
+        (found,) = torch.autograd.grad(
+            mismatch(LESSON, LESSON.asked, point, torch.zeros(2, dtype=torch.float64)), point
+        )
+        return found.numpy()
+
+    start = torch.rand(len(slope), generator=torch.Generator().manual_seed(2), dtype=torch.float64).numpy()
+    assert check_grad(value, gradient, start) < 1e-4
+
+
+def test_training_learns_and_keeps_to_its_bounds() -> None:
+    course = train(LESSON, ALL, 12)
+    assert course.curve.shape == (12, 2) and course.weights.shape == (12, LESSON.terms.shape[1])
+    assert float(course.curve[-1, 0]) < float(course.curve[0, 0]) - 0.01
+    assert float(course.weights.min()) >= 0
+    scaled = course.weights * LESSON.terms[LESSON.method < 0].mean(0)
+    assert float((scaled[:, :ROWS].sum(1) / scaled.sum(1)).min()) >= LEAST * (1 - 1e-9)
+    again = train(LESSON, ALL, 12)
+    assert torch.equal(again.weights, course.weights)
+
+
+def test_a_split_does_not_look_at_what_it_is_judged_on() -> None:
+    every = list(splits(LESSON, 2, seed=3))
+    assert len(every) == 4 + 2 * len(LESSON.methods)
+    assert torch.equal(every[0].materials, ~next(s for s in every if s.name == "half-0-1").materials)
+    for split in every:
+        for own in LESSON.asked.values():
+            seen, unseen = (within(LESSON, own, split, seen=x) for x in (True, False))
+            assert bool(split.materials[seen.materials].all()) and not bool(split.materials[unseen.materials].any())
+            if split.without >= 0:
+                assert not bool((LESSON.method[torch.stack([seen.first, seen.second])] == split.without).any())
+                about = LESSON.method[torch.stack([unseen.first, unseen.second])] == split.without
+                assert bool(about.any(0).all())
+    # Answers about what is held out do not change what is learned.
+    split = every[0]
+    other = dict(LESSON.asked)
+    asked = other["triplets"]
+    mixed = ~split.materials[asked.materials].all(1)
+    other["triplets"] = type(asked)(
+        asked.first, asked.second, torch.where(mixed, 1 - asked.share, asked.share), asked.count, asked.materials
+    )
+    turned = Lesson(**{**vars(LESSON), "asked": other})
+    assert torch.equal(train(turned, split, 3).weights, train(LESSON, split, 3).weights)
+
+
+def test_what_is_held_out_is_counted_right() -> None:
+    """By hand: the mean over splits of whether a comparison of unseen materials is ordered right."""
+    every = [split for split in splits(LESSON, 2, seed=3) if split.without < 0]
+    courses = [train(LESSON, split, 4) for split in every]
+    best = best_iteration(courses)
+    judged = [(split, course.weights[best]) for split, course in zip(every, courses, strict=True)]
+    others = formulas(LESSON, SEEN, {"rms": RMSLoss(reduction="none")})
+    found = held_out(LESSON, judged, others, replicates=50)
+    own = LESSON.statistics["majority"]
+    shares, theirs = [], []
+    for k in range(len(own)):
+        right = [
+            float(LESSON.distances(weights)[own.nearer[k]] < LESSON.distances(weights)[own.farther[k]])
+            for split, weights in judged
+            if not bool(split.materials[own.materials[k]].any())
+        ]
+        if right:
+            shares.append(sum(right) / len(right))
+            theirs.append(float(others["rms"][own.nearer[k]] < others["rms"][own.farther[k]]))
+    mine, rms = found["majority"]["learned"], found["majority"]["rms"]
+    assert mine["share"][0] == pytest.approx(sum(shares) / len(shares))
+    assert rms["share"][0] == pytest.approx(sum(theirs) / len(theirs))
+    assert rms["gain"][0] == pytest.approx(mine["share"][0] - rms["share"][0])
+    assert mine["share"][1] <= mine["share"][0] <= mine["share"][2] and mine["gain"] == [0, 0, 0]
+
+
+def test_lessons_join() -> None:
+    reverse = Lesson(**{**vars(LESSON), "names": LESSON.names[::-1]})  # the same answers about materials of other names
+    both = joined([LESSON, reverse])
+    assert both.names == LESSON.names and both.methods == LESSON.methods
+    assert len(both.terms) == 2 * len(LESSON.terms)
+    for name, own in LESSON.asked.items():
+        part, count = both.asked[name], len(own)
+        assert torch.equal(part.first[count:], own.first + len(LESSON.terms))
+        assert torch.equal(part.materials[count:], len(LESSON.names) - 1 - own.materials)
+    for name, own in LESSON.statistics.items():
+        there = both.statistics[name].materials[len(own) :]
+        assert torch.equal(there < 0, own.materials < 0)
+
+
+def test_choices_become_a_lesson() -> None:
+    votes = torch.tensor([[3, 1], [2, 2], [0, 4]])
+    pairs = torch.tensor([[0, 1], [0, 2], [1, 2]])
+    stimuli = list(SUBJECTS.opinions.methods)
+    own = lesson_of_choices(LESSON.names, stimuli, SEEN, pairs, votes)
+    asked, counted = own.asked["choices"], own.statistics["choices"]
+    assert asked.share.tolist() == [0.75, 0.5, 0] and asked.count.tolist() == [4, 4, 4]
+    assert counted.nearer.tolist() == [0, 2] and counted.farther.tolist() == [1, 1]
+    with pytest.raises(DataError, match="expected choices, found none"):
+        lesson_of_choices(LESSON.names, stimuli, SEEN, pairs[:0], votes[:0])
+
+
+# --- the recipe ---------------------------------------------------------------------------------------------------
+
+
+def recipe(**options: str):
+    return configure(RECIPES["train_metric"], options)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("metric") / "out"
+    run(recipe(quick="true"), folder)
+    return folder
+
+
+def test_the_recipe_writes_a_metric_that_gives_the_shares_it_says(out: Path) -> None:
+    metric = json.loads((out / "metric.json").read_text())
+    loss = LearnedLoss(reduction="none", weights=out / "metric.json")
+    subjects = made_up(seed=0)
+    seen = gather(subjects, uniform_pairs(500).to(dtype=torch.float32))
+    lesson = lesson_of(subjects, seen)
+    distance = formulas(lesson, seen, {"learned": loss})["learned"]
+    for name, own in lesson.statistics.items():
+        share = float(own.share(own.right(distance[None])))
+        assert share == pytest.approx(metric["provenance"]["seen"][name], abs=0.01)  # weights have four digits
+    assert metric["provenance"]["learned_from"][0]["mark"] == "made-up answers: nobody was asked"
+
+
+def test_made_up_answers_are_foretold(out: Path) -> None:
+    table = json.loads((out / "held_out.json").read_text())
+    assert set(table) == {"materials", "methods"}
+    for name, own in table["materials"].items():
+        assert own["learned"]["share"][0] > (0.6 if name == "majority" else 0.5)
+        assert set(own) == {"learned", *(set(LOSSES) - {"learned"})}
+
+
+def test_the_page_says_that_nobody_was_asked(out: Path) -> None:
+    page = (out / "report.html").read_text()
+    for words in ("made-up answers: nobody was asked", "never saw", "theta_h", "data:image/png"):
+        assert words in page
+    assert "http://" not in page and "https://" not in page
+
+
+def test_trainings_are_taken_up(out: Path, monkeypatch) -> None:
+    before = (out / "metric.json").read_text()
+    kept = sorted((out / "trainings").iterdir())
+    kept[0].unlink()
+    trained = []
+    monkeypatch.setattr("torchbrdf.recipes.train_metric.train", lambda *a: trained.append(a[1].name) or train(*a))
+    run(recipe(quick="true"), out)
+    assert trained == [kept[0].stem] and (out / "metric.json").read_text() == before
+    kept[1].write_bytes(b"half of it")
+    with pytest.raises(DataError, match="expected a finished training; remove it to train again"):
+        run(recipe(quick="true"), out)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "expected human, or study and answers"),
+        ({"human": "h"}, "materials: expected a folder"),
+        ({"study": "runs/x"}, "expected a study and its answers"),
+        ({"quick": "true", "samples": "0"}, "expected at least 1 sample"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(options, said) -> None:
+    with pytest.raises(UsageError, match=said):
+        recipe(**options)
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory) -> Path:
+    """What `fores2012` leaves: fits and settings; and answers that prefer the fit whose roughness is right."""
+    from torchbrdf.fitting import fit
+
+    folder = tmp_path_factory.mktemp("study")
+    measured = load(standins())
+    records = []
+    for name in ("rms", "cuberoot"):
+        result = fit(make_model("ward", 1), measured, LOSSES[name](), samples=500, strategy="staged")
+        records += result.records()
+    (folder / "fits.json").write_text(json.dumps(records))
+    (folder / "recipe.json").write_text(json.dumps({"settings": {"materials": "stand-ins"}}))
+    with (folder / "answers.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["observer", "material", "left", "right", "chosen"])
+        for observer in range(3):
+            for k, material in enumerate(measured.names):
+                rows.writerow([f"o{observer}", material, "ward-rms", "ward-cuberoot", 1 + (k + observer > 1)])
+                rows.writerow([f"o{observer}", material, "ward-rms", "measured", 2])
+                rows.writerow([f"o{observer}", material, "measured", "ward-cuberoot-staged", 1])
+    return folder
+
+
+def test_ones_own_study_trains_a_metric(studied: Path, tmp_path: Path) -> None:
+    options = {"study": str(studied), "answers": str(studied / "answers.csv"), "samples": "400", "repeats": "2"}
+    run(recipe(**options, iterations="8", replicates="20"), tmp_path / "own")
+    metric = json.loads((tmp_path / "own" / "metric.json").read_text())
+    facts = metric["provenance"]["learned_from"][0]
+    assert facts["answers"] == "90 choices of 3 observers of a study" and facts["mark"] == ""
+    assert metric["provenance"]["seen"]["choices"] > 0.8
+    assert float(
+        LearnedLoss(weights=tmp_path / "own" / "metric.json")(SEEN.materials[:1], SEEN.materials[1:2], SEEN.pairs)
+    )
+    both = run(recipe(**options, quick="true", iterations="8"), tmp_path / "quick")
+    assert both.is_file()
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (["o", "lead", "ward-rms", "measured", "1"], "expected materials of stand-ins, found 'lead'"),
+        (["o", "nickel", "ward-rms", "phong-rms", "1"], "nickel: expected a fit of .*, found 'phong-rms'"),
+    ],
+)
+def test_answers_about_something_else_are_refused(studied: Path, tmp_path: Path, row, said) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text("observer,material,left,right,chosen\n" + ",".join(row) + "\n")
+    with pytest.raises(DataError, match=said):
+        run(recipe(study=str(studied), answers=str(path)), tmp_path / "out")
+
+
+def test_simulated_observers_are_called_so(studied: Path, tmp_path: Path) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text((studied / "answers.csv").read_text().replace("\no", "\nsimulated-"))
+    options = {"study": str(studied), "answers": str(path), "samples": "200", "repeats": "1", "iterations": "2"}
+    report = run(recipe(**options, replicates="5"), tmp_path / "out")
+    assert "simulated observers: not people" in report.read_text()

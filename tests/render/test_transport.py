@@ -1,0 +1,216 @@
+"""Pictures as sparse products on compact pairs, against the quadrature that they are made of."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.painted import MATERIALS
+from torch import Tensor
+
+from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.images import DIFFERENCES, ToneMap
+from torchbrdf.lobes import Ward
+from torchbrdf.pairs import Pairs
+from torchbrdf.render import DirectionalLight, Environment, PointLight, Scene, View, blob, render, sphere
+from torchbrdf.render import scene as scenes
+from torchbrdf.render.transport import cache as cached
+from torchbrdf.render.transport.transport import Transport
+
+LAMPS = (DirectionalLight((1, 2, 2), 1.5), PointLight((0, 3, 3), (9.0, 8.0, 7.0)))
+
+
+def make(size: int = 24, **settings: object) -> Scene:
+    return Scene(blob(), View(15.0), Environment.default(), size=size, **settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def small() -> Scene:
+    return make()
+
+
+@pytest.fixture(scope="module")
+def lit() -> Scene:
+    return make(lamps=LAMPS)
+
+
+def on(scene: Scene, dtype: torch.dtype = torch.float32) -> Tensor:
+    with torch.no_grad():
+        pairs = scene.pairs.to(dtype=dtype)
+        return torch.cat([material.to(dtype=dtype)(pairs) for material in MATERIALS.values()])
+
+
+def dense(transport: Transport) -> Tensor:
+    """The matrix, `(3, P, N)`, entry by entry."""
+    matrix = torch.zeros(3, len(transport.index), transport.count)
+    for block in transport.blocks:
+        for k, row in enumerate(block.rows.tolist()):
+            for entry in range(int(block.start[k]), int(block.start[k + 1])):
+                matrix[:, row, block.column[entry]] += block.value[:, entry]
+    return matrix
+
+
+@pytest.mark.parametrize("lamps", [(), LAMPS])
+def test_the_picture_is_that_of_the_quadrature(lamps: tuple[DirectionalLight | PointLight, ...]) -> None:
+    """Within what bins cost, dB after tone mapping, and in all energy."""
+    scene = make(48, lamps=lamps)
+    assert scene.pairs.above.all()
+    found, expected = scene.transport @ on(scene), render([*MATERIALS.values()], scene)
+    for name, one, other in zip(MATERIALS, found, expected, strict=True):
+        tone = ToneMap.from_images(other, scene.mask)
+        quality = DIFFERENCES["psnr"]()(tone(one)[None], tone(other)[None], scene.mask).item()
+        assert quality > 45, name
+        assert one.sum().item() == pytest.approx(other.sum().item(), rel=2e-3), name
+        assert not one[~scene.mask].any()
+
+
+def test_lamps_alone_have_pairs_of_their_own() -> None:
+    scene = Scene(sphere(4), View(), size=16, lamps=LAMPS)
+    torch.testing.assert_close(scene.transport @ on(scene), render([*MATERIALS.values()], scene), rtol=1e-3, atol=1e-5)
+
+
+def test_what_the_pairs_know_fits_together(lit: Scene) -> None:
+    known = lit.pairs.to(dtype=torch.float64)
+    derived = Pairs.from_half_diff(known.theta_h, known.theta_d, known.phi_d)
+    for name in ("cos_h", "cos_d"):
+        torch.testing.assert_close(getattr(known, name), getattr(derived, name), atol=1e-6, rtol=0)
+    # phi_d is folded by reciprocity, which exchanges the directions
+    cosines = [torch.stack([one.cos_i, one.cos_o]).sort(0).values for one in (known, derived)]
+    torch.testing.assert_close(*cosines, atol=1e-5, rtol=0)
+    torch.testing.assert_close(known.tan2_h, derived.tan2_h, atol=1e-6, rtol=1e-3)
+
+
+def test_few_pairs_serve_many_pixels(small: Scene) -> None:
+    assert len(small.pairs) < small.transport.entries / 3
+
+
+def test_products_are_those_of_the_matrix(lit: Scene) -> None:
+    transport, generator = lit.transport, torch.Generator().manual_seed(0)
+    values = torch.rand(2, transport.count, 3, generator=generator)
+    matrix = dense(transport)
+    torch.testing.assert_close(transport.pixels(values), torch.einsum("cpn,mnc->mpc", matrix, values))
+    shapes = torch.rand(11, transport.count, generator=generator)
+    torch.testing.assert_close(transport.columns(shapes), torch.einsum("cpn,kn->kcp", matrix, shapes))
+    gradient = torch.rand(2, len(transport.index), 3, generator=generator)
+    torch.testing.assert_close(transport.backward(gradient), torch.einsum("cpn,mpc->mnc", matrix, gradient))
+    thin, kept = transport.thinned(torch.tensor([5, 3, 100]))
+    torch.testing.assert_close(dense(thin), matrix[:, [5, 3, 100]][..., kept])
+    assert not matrix[:, [5, 3, 100]].sum(0)[:, np.setdiff1d(np.arange(transport.count), kept)].any()
+    assert torch.equal(thin.index, transport.index[[5, 3, 100]])
+
+
+def test_it_is_differentiable() -> None:
+    scene = Scene(sphere(3), View(), size=3, nodes=8, lights=16, resolution=(8, 8, 8), lamps=LAMPS[:1])
+    values = torch.rand(2, len(scene.pairs), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    assert torch.autograd.gradcheck(lambda one: scene.transport @ one, values.requires_grad_())
+    lobe = Ward(specular=0.5, roughness=torch.tensor([0.2], dtype=torch.float64))
+    pairs = scene.pairs.to(dtype=torch.float64)
+
+    def picture(roughness: Tensor) -> Tensor:
+        return scene.transport @ Ward.function(pairs, lobe.specular.detach().double(), roughness)[None].squeeze(1)
+
+    assert torch.autograd.gradcheck(picture, lobe.roughness)
+
+
+def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenes, "LARGEST", 0)
+    monkeypatch.setattr(scenes, "_CHUNK", 20_000)
+    streamed = make(lamps=LAMPS)
+    assert lit.transport.kept and not streamed.transport.kept
+    values = on(lit).requires_grad_()
+    found, expected = streamed.transport @ values, lit.transport @ values
+    torch.testing.assert_close(found, expected)
+    weight = torch.rand(found.shape, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(*(torch.autograd.grad((one * weight).sum(), values)[0] for one in (found, expected)))
+    torch.testing.assert_close(streamed.transport.columns(values[0].T), lit.transport.columns(values[0].T))
+    rows = torch.arange(0, 90, 7)
+    (thin, kept), (other, same) = (one.transport.thinned(rows) for one in (streamed, lit))
+    assert torch.equal(kept, same)
+    torch.testing.assert_close(thin @ values[:, kept], other @ values[:, kept])
+
+
+def test_shapes_that_do_not_fit(small: Scene) -> None:
+    values = on(small)
+    for wrong in (values[:, 1:], values[0], values[..., :2]):
+        with pytest.raises(ShapeError, match=r"transport: expected values"):
+            small.transport @ wrong
+    with pytest.raises(ShapeError, match=r"transport: expected functions"):
+        small.transport.columns(values[0])
+    with pytest.raises(UsageError, match="resolution"):
+        make(resolution=(2, 45, 30))
+
+
+# --- the cache --------------------------------------------------------------------------------------------------------
+
+
+def test_a_transport_is_taken_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = make(12, cache=tmp_path)
+    expected = first.transport @ on(first)
+    monkeypatch.setattr(scenes, "compact", None)  # nothing is made
+    again = make(12, cache=tmp_path)
+    assert torch.equal(again.transport @ on(again), expected)
+    assert len([*tmp_path.iterdir()]) == 1
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"lights": 512}, {"nodes": 64}, {"resolution": (30, 30, 30)}, {"lamps": LAMPS}, {"size": 13},
+        {"view": View(16.0)}, {"environment": Environment.default(5.0)}, {"mesh": sphere(3)},
+    ],
+)  # fmt: skip
+def test_what_is_made_of_other_things_is_another(tmp_path: Path, other: dict[str, object]) -> None:
+    def names(**settings: object) -> set[str]:
+        plain = {"mesh": blob(), "view": View(15.0), "environment": Environment.default(), "size": 12}
+        scene = Scene(**{**plain, **settings}, cache=tmp_path)  # type: ignore[arg-type]
+        assert scene.transport.kept
+        return {path.name for path in tmp_path.iterdir()}
+
+    assert len(names(nodes=32, lights=64)) == 1
+    assert len(names(**{"nodes": 32, "lights": 64, **other})) == 2
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "bits", "other"])
+def test_a_damaged_file_is_made_anew_with_a_word(tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
+    def picture() -> Tensor:
+        scene = make(8, cache=tmp_path)
+        return scene.transport @ on(scene)
+
+    expected = picture()
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    if damage == "other":
+        np.savez(path, nothing=np.zeros(3))
+    else:
+        middle = len(whole) // 2
+        flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
+        path.write_bytes({"cut": whole[:middle], "empty": b"", "bits": flipped}[damage])
+    with caplog.at_level(logging.WARNING, "torchbrdf"):
+        assert torch.equal(picture(), expected)
+    assert "made anew" in caplog.text
+    caplog.clear()
+    assert torch.equal(picture(), expected)
+    assert not caplog.text
+
+
+def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "file").touch()
+    with caplog.at_level(logging.WARNING, "torchbrdf"):
+        assert make(8, cache=tmp_path / "file" / "folder").transport.kept
+    assert "not kept" in caplog.text
+
+
+def test_old_files_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cached, "_ROOM", 1)
+    for lights in (64, 128):
+        assert make(8, lights=lights, cache=tmp_path).transport.kept
+    assert len([*tmp_path.iterdir()]) == 1
+
+
+def test_the_folder_of_caches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCHBRDF_CACHE", "there")
+    assert cached.cache_folder() == Path("there")
+    monkeypatch.delenv("TORCHBRDF_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "caches")
+    assert cached.cache_folder() == Path("caches/torchbrdf")

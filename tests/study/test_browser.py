@@ -1,0 +1,410 @@
+"""A person at the page of a study, in a real browser: looks at pixels, chooses, leaves, comes back."""
+
+import shutil
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from helpers.study_folder import (
+    BIRDS,
+    EXPERIMENT,
+    LOOK,
+    SECRETS,
+    Client,
+    Ears,
+    make_study,
+    pixels_of,
+    serving,
+    stop_server,
+)
+
+from torchbrdf.psychophysics import Comparisons, scale
+from torchbrdf.study import Plan, read_answers, write_answers
+from torchbrdf.study.store import STORE, Store
+
+api = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install playwright")
+
+NAMES = ("reference", "left", "right")
+# As if the person went to another tab.
+HIDE = """() => {
+  Object.defineProperty(document, "hidden", { value: true });
+  document.dispatchEvent(new Event("visibilitychange"));
+}"""
+
+
+@pytest.fixture(scope="module")
+def launch():
+    """Starts Chromium, with more flags."""
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        pytest.skip("needs Chromium: no program chromium or chromium-browser")
+    flags = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--force-color-profile=srgb"]
+    with api.sync_playwright() as playwright:
+        yield lambda *more: playwright.chromium.launch(executable_path=program, args=[*flags, *more])
+
+
+@pytest.fixture(scope="module")
+def browser(launch):
+    with launch() as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser):
+    """A new window, with nothing kept from others; errors of its scripts fail the test."""
+    with browser.new_context(viewport={"width": 1000, "height": 700}) as context:
+        made = context.new_page()
+        made.set_default_timeout(10_000)
+        errors = []
+        made.on("pageerror", lambda error: errors.append(error))
+        yield made
+        assert not errors
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    make_study(folder, size=25)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def home(folder):
+    """Where a server of a small study is."""
+    with serving(folder) as (_, port):
+        yield f"http://127.0.0.1:{port}"
+
+
+@pytest.fixture
+def link(home):
+    """The link of someone who is about to read the instructions."""
+    client = Client(int(home.rpartition(":")[2]))
+    yield home + client.ready()
+    client.close()
+
+
+def shown(page, trial, of=18):
+    """Wait for the pictures of a trial, from 1; gives their mean colours."""
+    return np.array(page.wait_for_function(LOOK, arg=f"{trial} of {of}").json_value())
+
+
+def start(page, link):
+    page.goto(link)
+    page.get_by_role("button", name="Start").click()
+    return shown(page, 1)
+
+
+def answers_of(folder, link):
+    """What is recorded of an observer."""
+    store = Store(folder / STORE, Plan.load(folder))
+    token = link.rpartition("/")[2]
+    (number,) = store._connection().execute("SELECT id FROM observers WHERE token = ?", (token,)).fetchone()
+    found = [answer for answer in store.answers() if answer.observer == f"observer-{number:03d}"]
+    store.close()
+    return found
+
+
+@pytest.fixture
+def large(tmp_path):
+    """The paper's second experiment: 60 trials. Its plan, server and port."""
+    plan = make_study(tmp_path, materials=10)
+    with serving(tmp_path) as (process, port):
+        yield plan, process, port
+
+
+def test_a_whole_session(browser, large, tmp_path):
+    plan, process, port = large
+    ears, pressed, began = Ears(), [], time.monotonic()
+
+    def look_and_choose(page, trial):
+        reference, *pair = shown(page, trial, 60)
+        left = bool(np.linalg.norm(pair[0] - reference) < np.linalg.norm(pair[1] - reference))
+        pressed.append("left" if left else "right")
+        if trial % 10 == 5:
+            time.sleep(0.4)
+        if trial % 3:
+            page.keyboard.press("ArrowLeft" if left else "ArrowRight")
+        else:
+            page.locator("#left" if left else "#right").click()
+        ears.catch_up()
+
+    with browser.new_context() as context:
+        page = context.new_page()
+        ears.listen(page)
+        page.goto(f"http://127.0.0.1:{port}/")
+        assert page.title() == plan.text("title")
+        page.get_by_role("button", name="Begin").click()
+        assert page.url.endswith(f":{port}/")  # not without consent
+        page.get_by_role("checkbox").check()
+        ears.catch_up()
+        page.get_by_role("button", name="Begin").click()
+        page.wait_for_url("**/o/*")
+        link = page.url
+        page.get_by_role("heading", name="About you").wait_for()
+        assert page.locator("#questions .link").input_value() == link
+        for label in ("Normal", "Yes", "Dim"):
+            page.get_by_label(label, exact=True).check()
+        page.get_by_label("Your display").fill("laptop")
+        page.get_by_role("button", name="Continue").click()
+        page.get_by_label("How many squares").fill("6")
+        page.get_by_label("And how many").fill("8")
+        page.locator("#screen form > button").click()
+        assert page.get_by_role("heading", name="About your screen").is_visible()  # not without the card
+        page.get_by_label("Width of the box").press("ArrowRight")
+        page.locator("#screen form > button").click()
+        page.get_by_role("button", name="Start").press("Enter")
+        for trial in range(1, 26):
+            look_and_choose(page, trial)
+        shown(page, 26, 60)
+        page.wait_for_load_state("networkidle")
+        ears.catch_up()
+    with browser.new_context() as context:
+        page = context.new_page()
+        ears.listen(page)
+        page.goto(link)
+        page.get_by_text(plan.text("pause")).wait_for()
+        page.get_by_role("button", name="Continue").click()
+        for trial in range(26, 61):
+            look_and_choose(page, trial)
+        page.get_by_text(plan.text("thanks")).wait_for()
+        ears.catch_up()
+        page.reload()
+        page.get_by_text(plan.text("thanks")).wait_for()
+        ears.catch_up()
+    took = time.monotonic() - began
+    assert stop_server(process).startswith("stopped: 1 observers, 60 answers")
+
+    store = Store(tmp_path / STORE, plan)
+    write_answers(tmp_path / "answers.csv", store.answers(EXPERIMENT))
+    (profile,) = store.profiles()
+    store.close()
+    answers = read_answers(tmp_path / "answers.csv")
+    assert len(answers) == 60
+    assert len({(one.material, frozenset((one.left, one.right))) for one in answers}) == 60
+    assert ["left" if one.chosen == one.left else "right" for one in answers] == pressed
+    assert {"left", "right"} == set(pressed)
+    wins = Counter(one.chosen for one in answers)
+    assert [wins[bird] for bird in BIRDS] == [30, 20, 10, 0]
+    scales = scale(Comparisons.from_answers(answers))
+    for names, values in zip(scales.stimuli, scales.value.tolist(), strict=True):
+        assert sorted(names, key=dict(zip(names, values, strict=True)).__getitem__, reverse=True) == list(BIRDS)
+    times = [one.response_time for one in answers]
+    slow = times[4::10]
+    assert all(0 < seconds < 5 for seconds in times) and sum(times) + 58 * 0.25 < took
+    assert min(slow) >= 0.39 and np.median(times) < 1
+    assert profile["reports"] == {"colour_vision": "normal", "acuity": "yes", "room": "dim", "display": "laptop"}
+    assert profile["screen"] == {
+        "dark_steps": 6,
+        "bright_steps": 8,
+        "card": 321,
+        "pixel_ratio": 1,
+        "window_width": 1280,
+        "window_height": 720,
+        "screen_width": 1280,
+        "screen_height": 720,
+        "colour_depth": 24,
+    }
+    # Three pictures a trial, each asked for once, and those around the break twice.
+    assert 180 <= sum(".png " in heard for heard in ears.heard) <= 189
+    for secret in SECRETS:
+        assert not [heard for heard in ears.heard if secret in heard]
+
+
+@pytest.mark.parametrize("ratio", [1, 1.25, 1.5, 2, 3])
+def test_one_pixel_of_a_picture_is_one_of_the_screen(launch, link, ratio):
+    # A real screen's ratio: where it is emulated, Chromium rounds to CSS pixels.
+    with launch(f"--force-device-scale-factor={ratio}", "--window-size=901,641") as browser:
+        page = browser.new_context(no_viewport=True).new_page()
+        start(page, link)
+        assert page.evaluate("devicePixelRatio") == ratio and not page.locator("#tight").is_visible()
+        page.mouse.move(1, 300)
+        screen = pixels_of(page.screenshot())
+        middles = {}
+        for name in NAMES:
+            box = {side: ratio * length for side, length in page.locator(f"#{name} img").bounding_box().items()}
+            x, y = round(box["x"]), round(box["y"])
+            assert list(box.values()) == pytest.approx([x, y, 25, 25], abs=0.01)  # edges between pixels
+            wanted = pixels_of(page.request.get(f"{link}/0/{name}.png").body())
+            assert (screen[y : y + 25, x : x + 25] == wanted).all()
+            around = screen[y - 3 : y + 28, x - 3 : x + 28].copy()
+            around[3:-3, 3:-3] = 0x3A
+            assert (around == 0x3A).all()
+            middles[name] = x + 12, y + 12
+        assert middles["left"][1] == middles["right"][1] > middles["reference"][1] + 25
+        assert abs(middles["left"][0] + middles["right"][0] - 2 * middles["reference"][0]) <= 2
+        assert abs(middles["reference"][0] - screen.shape[1] / 2) <= 2
+
+
+def test_a_screen_with_two_pixels_a_css_pixel(browser, link):
+    with browser.new_context(device_scale_factor=2, viewport={"width": 801, "height": 601}) as context:
+        page = context.new_page()
+        start(page, link)
+        for size in ({"width": 801, "height": 601}, {"width": 640, "height": 477}):
+            page.set_viewport_size(size)
+            page.wait_for_function("size => innerWidth === size.width && innerHeight === size.height", arg=size)
+            boxes = [page.locator(f"#{name} img").bounding_box() for name in NAMES]
+            assert all(page.locator(f"#{name} img").evaluate("it => it.naturalWidth") == 25 for name in NAMES)
+            assert {(box["width"], box["height"]) for box in boxes} == {(12.5, 12.5)}
+            assert all(2 * box[side] % 1 == 0 for box in boxes for side in ("x", "y"))
+            assert abs(boxes[0]["x"] + 6.25 - size["width"] / 2) <= 1
+
+
+def test_pause_and_held_keys(page, link, folder):
+    before = start(page, link)
+    page.keyboard.press("Space")
+    assert page.get_by_role("dialog", name="Pause").is_visible()
+    assert not page.locator("#left img").is_visible() and not page.locator("#reference img").is_visible()
+    for key in ("ArrowLeft", "ArrowRight"):
+        page.keyboard.press(key)
+    time.sleep(1)
+    page.keyboard.press("Space")
+    assert (shown(page, 1) == before).all()
+    page.keyboard.press("ArrowRight")  # the clock was set back
+    shown(page, 2)
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Continue").press("Enter")
+    shown(page, 2)
+    page.get_by_role("button", name="Pause").press("Space")  # which pauses once, and not again when it is let go
+    assert page.get_by_role("dialog").is_visible()
+    page.get_by_role("button", name="Continue").press("Space")
+    shown(page, 2)
+    page.evaluate(HIDE)
+    assert page.get_by_role("dialog").is_visible()
+    page.keyboard.press("Space")
+    shown(page, 2)
+    page.keyboard.down("ArrowLeft")
+    shown(page, 3)
+    for _ in range(20):  # as a key that is held down says again and again
+        page.keyboard.down("ArrowLeft")
+    page.keyboard.up("ArrowLeft")
+    page.locator("#right").focus()
+    page.keyboard.down("Enter")
+    shown(page, 4)
+    for _ in range(20):
+        page.keyboard.down("Enter")
+    page.keyboard.up("Enter")
+    for key in ("Control+ArrowLeft", "Shift+Tab", "a", "ArrowUp", "0"):
+        page.keyboard.press(key)
+    time.sleep(0.4)
+    shown(page, 4)
+    found = answers_of(folder, link)
+    assert [one.chosen == one.left for one in found] == [False, True, False]
+    assert found[0].response_time < 1
+
+
+def test_pause_in_the_blank(page, link, folder):
+    start(page, link)
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Space")
+    time.sleep(0.5)
+    assert page.get_by_role("dialog").is_visible() and page.locator("#count").text_content() == "2 of 18"
+    assert not page.locator("#left").is_visible()
+    page.keyboard.press("Space")
+    shown(page, 2)
+    page.keyboard.press("ArrowLeft")
+    shown(page, 3)
+    assert len(answers_of(folder, link)) == 2
+
+
+def test_nothing_counts_before_the_pictures_are_there(page, link, folder):
+    held = []
+    page.route("**/0/right.png", lambda route: held.append(route))
+    page.goto(link)
+    page.get_by_role("button", name="Start").click()
+    page.wait_for_selector("#trials:not([hidden])")
+    for key in ("ArrowLeft", "ArrowRight"):
+        page.keyboard.press(key)
+    time.sleep(0.8)
+    assert not page.locator("#reference img").is_visible()
+    page.keyboard.press("ArrowLeft")
+    assert answers_of(folder, link) == []
+    held[0].continue_()
+    shown(page, 1)
+    page.keyboard.press("ArrowRight")
+    shown(page, 2)
+    (found,) = answers_of(folder, link)
+    assert found.chosen == found.right and found.response_time < 0.8
+
+
+def test_a_server_that_is_away(page, link, folder):
+    start(page, link)
+    page.route("**/answer", lambda route: route.abort())
+    page.keyboard.press("ArrowRight")
+    page.get_by_text("The server cannot be reached").wait_for()
+    page.keyboard.press("ArrowLeft")  # the answer is given already
+    assert answers_of(folder, link) == [] and page.locator("#count").text_content() == "1 of 18"
+    page.unroute("**/answer")
+    shown(page, 2)
+    assert not page.locator("#trouble").is_visible()
+
+    def loses(route):
+        route.fetch()  # it is recorded, but the page does not hear of it
+        route.abort()
+
+    page.route("**/answer", loses, times=1)
+    page.keyboard.press("ArrowLeft")
+    shown(page, 3)
+    page.route("**/answer", lambda route: route.fulfill(status=502, body="<h1>Bad gateway</h1>"), times=1)
+    page.keyboard.press("ArrowLeft")
+    shown(page, 4)
+    page.route("**/5/left.png", lambda route: route.abort(), times=1)
+    for trial in (4, 5):
+        page.keyboard.press("ArrowRight")
+        shown(page, trial + 1)
+    found = answers_of(folder, link)
+    assert [one.chosen == one.right for one in found] == [True, False, False, True, True]
+
+
+def test_two_windows(page, browser, link, folder):
+    start(page, link)
+    with browser.new_context() as context:
+        other = context.new_page()
+        start(other, link)
+        for trial in range(1, 8):
+            other.keyboard.press("ArrowLeft")
+            shown(other, trial + 1)
+    page.keyboard.press("ArrowRight")  # to a trial that is over
+    shown(page, 8)
+    page.keyboard.press("ArrowRight")
+    shown(page, 9)
+    assert [one.chosen == one.left for one in answers_of(folder, link)] == [True] * 7 + [False]
+
+
+def test_who_is_screened_out(page, home, folder):
+    page.goto(home)
+    page.get_by_role("checkbox").press("Space")
+    page.get_by_role("button", name="Begin").press("Enter")
+    page.get_by_label("Deficient").check()
+    for label in ("No", "Dark"):
+        page.get_by_label(label, exact=True).check()
+    page.get_by_role("button", name="Continue").click()
+    page.get_by_text("This study needs other conditions").wait_for()
+    page.reload()
+    page.get_by_text("This study needs other conditions").wait_for()
+    assert page.locator("main:visible").count() == 1 and answers_of(folder, page.url) == []
+
+
+def test_a_small_window_is_told(page, home):
+    page.set_viewport_size({"width": 150, "height": 120})
+    page.goto(home)
+    page.get_by_role("checkbox").check()
+    page.get_by_role("button", name="Begin").click()
+    for label in ("Normal", "Yes", "Bright"):
+        page.get_by_label(label, exact=True).check()
+    page.get_by_role("button", name="Continue").click()
+    page.get_by_text("Your window is too small").wait_for()
+    page.set_viewport_size({"width": 300, "height": 300})
+    page.get_by_text("Your window is too small").wait_for(state="hidden")
+    page.set_viewport_size({"width": 150, "height": 120})
+    page.get_by_label("How many squares").fill("0")
+    page.get_by_label("And how many").fill("0")
+    page.get_by_label("I have no card").check()
+    page.locator("#screen form > button").click()
+    page.get_by_role("button", name="Start").click()
+    shown(page, 1)
+    assert page.locator("#tight").is_visible()
+    for name in NAMES:
+        assert page.locator(f"#{name} img").bounding_box()["width"] == 25  # never scaled
+    page.set_viewport_size({"width": 600, "height": 500})
+    page.locator("#tight").wait_for(state="hidden")

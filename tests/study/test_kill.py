@@ -1,0 +1,279 @@
+"""The server as a process: started, stopped, killed, with broken files, and asked for what it must not give."""
+
+import contextlib
+import http.client
+import logging
+import random
+import select
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from helpers.study_folder import (
+    EXPERIMENT,
+    REPORTS,
+    Client,
+    answer,
+    make_study,
+    ready,
+    serving,
+    start_server,
+    stop_server,
+)
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.study import trials
+from torchbrdf.study.server import LARGEST_BODY, address, listening, make_app, serve
+from torchbrdf.study.store import STORE, Store
+
+KILLS = 50
+
+
+class Person(threading.Thread):
+    """Answers as fast as the server tells the next trial; sends the same answer again until it hears of it."""
+
+    def __init__(self, port, seed, stop):
+        super().__init__()
+        self.client, self.source, self.stop = Client(port), random.Random(seed), stop
+        self.link, self.answer, self.unsure = None, None, False
+        self.acknowledged, self.lost, self.wrong, self.broken = {}, {}, [], 0
+
+    def run(self):
+        while self.unsure or not self.stop.is_set():
+            try:
+                self.step()
+            except (OSError, http.client.HTTPException):
+                self.broken += 1
+                time.sleep(0.01)
+            except Exception as error:
+                self.wrong.append(repr(error))
+                return
+        self.client.close()
+
+    def step(self):
+        if self.link is None:
+            self.link = self.client.ready()
+            self.next(0)
+        self.unsure, before = True, self.unsure
+        status, said = self.client.tell(f"{self.link}/answer", self.answer)
+        self.unsure = False
+        where, told = (self.link, self.answer["trial"]), (self.answer["side"], self.answer["response_time"])
+        if status == 200:
+            self.acknowledged[where] = told
+        elif status == 409 and before:  # recorded before, and the acknowledgment got lost
+            self.lost[where] = told
+        else:
+            self.wrong.append((status, said))
+        state = said["state"]
+        if state["trial"] != self.answer["trial"] + 1:
+            self.wrong.append((self.answer, state))
+        if state["stage"] == "done":
+            self.link = None
+        else:
+            self.next(state["trial"])
+
+    def next(self, trial):
+        side, seconds = self.source.choice(["left", "right"]), self.source.random()
+        self.answer = {"trial": trial, "side": side, "response_time": seconds}
+
+
+def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path):
+    make_study(tmp_path, materials=10)
+    moments = random.Random(7)
+    process, port = start_server(tmp_path)
+    stop = threading.Event()
+    people = [Person(port, seed, stop) for seed in range(6)]
+    try:
+        for person in people:
+            person.start()
+        for _ in range(KILLS):
+            time.sleep(moments.uniform(0.0, 0.25))
+            process.kill()
+            process.communicate()
+            process, _ = start_server(tmp_path, port)
+        stop.set()
+        for person in people:
+            person.join(timeout=20)
+    finally:
+        stop.set()
+        stop_server(process)
+    assert not any(person.is_alive() for person in people)
+    assert [person.wrong for person in people] == [[]] * len(people)
+    assert all(person.broken >= KILLS // 2 for person in people)
+    database = sqlite3.connect(tmp_path / STORE)
+    assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    rows = database.execute(
+        "SELECT token, position, side, response_time FROM answers JOIN observers ON observers.id = answers.observer"
+        " ORDER BY observer, position"
+    ).fetchall()
+    database.close()
+    found = {(f"/o/{token}", position): (side, seconds) for token, position, side, seconds in rows}
+    assert len(found) == len(rows) > 10 * KILLS
+    told = {}
+    for person in people:
+        told |= person.acknowledged | person.lost
+    assert found == told  # every one that was acknowledged, as it was, and no other
+    positions = {}
+    for token, position, _, _ in rows:
+        positions.setdefault(token, []).append(position)
+    assert all(have == list(range(len(have))) for have in positions.values())
+
+
+def test_a_broken_store_is_no_end(tmp_path, caplog):
+    store = Store(tmp_path / STORE, make_study(tmp_path))
+    client = make_app(tmp_path, EXPERIMENT, store).test_client()
+    link = ready(client)
+    store.answer, kept = lambda *_: (_ for _ in ()).throw(sqlite3.OperationalError("disk I/O error")), store.answer
+    with caplog.at_level(logging.ERROR):
+        response = answer(client, link, 0)
+    assert response.status_code == 503 and "disk" not in response.text
+    assert "disk I/O error" in caplog.text and link not in caplog.text
+    store.answer = kept
+    assert answer(client, link, 0).status_code == 200
+    store.close()
+
+
+@pytest.mark.parametrize("case", ["gone", "no PNG"])
+def test_pictures_that_break(tmp_path, case):
+    plan = make_study(tmp_path)
+    picture = tmp_path / plan.materials[0].reference
+    store = Store(tmp_path / STORE, plan)
+    client = make_app(tmp_path, EXPERIMENT, store).test_client()
+    link = ready(client)
+    first = trials(plan, plan.experiments[0], 0)
+    near = next(k for k, trial in enumerate(first) if trial.material == plan.materials[0].name)
+    for k in range(near):
+        answer(client, link, k)
+    if case == "gone":
+        picture.unlink()
+    else:
+        picture.write_bytes(b"BM")
+    response = client.get(f"{link}/{near}/reference.png")
+    assert response.status_code == 503 and plan.materials[0].name not in f"{response.headers} {response.text}"
+    with pytest.raises(DataError, match=r"cobalt\.png: (no such picture|expected a PNG, found something else)$"):
+        make_app(tmp_path, EXPERIMENT, store)
+    store.close()
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory):
+    """A server in a process of its own."""
+    folder = tmp_path_factory.mktemp("served")
+    make_study(folder)
+    with serving(folder) as (_, port):
+        yield port
+
+
+CLIMBS = [
+    "/../study.json",
+    "/../../../etc/passwd",
+    "/page/../server.py",
+    "/page/../../study/server.py",
+    "/page/%2e%2e/server.py",
+    "/page/%2e%2e%2fserver.py",
+    "/page/%252e%252e%252fserver.py",
+    "/page/..%5cserver.py",
+    "/page/study.html",
+    "/page//etc/passwd",
+    "/page/%2fetc%2fpasswd",
+    "/page/study.js%00",
+    "//etc/passwd",
+    "LINK/0/../../../study.json",
+    "LINK/0/%2e%2e/%2e%2e/study.json",
+    "LINK/%2e%2e/%2e%2e/study.sqlite",
+    "LINK/0/..%2f..%2fstudy.json",
+    "LINK/0/%252e%252e%252fstudy.sqlite",
+    "LINK/0//etc/passwd",
+    "LINK/0/renders/cobalt.png",
+    "LINK/0/../0/left.png",
+    "LINK/./0/left.png",
+    "LINK/0/left.png%00.png",
+    "http://evil.example/etc/passwd",
+    "file:///etc/passwd",
+    "*",
+    "etc/passwd",
+]
+
+
+def test_climbing_paths_lead_nowhere(port):
+    client = Client(port)
+    link = client.ready()
+    assert client.ask(f"{link}/0/left.png")[0] == 200
+    for path in CLIMBS:
+        status, said = client.ask(path.replace("LINK", link))
+        assert status in (400, 404), path
+        assert len(said) < 200 and b"root:" not in said and b"experiments" not in said
+    client.close()
+
+
+def test_large_bodies_are_refused(port):
+    client = Client(port)
+    _, begun = client.tell("/begin", {"agreed": True})
+    link = begun["link"]
+    assert client.ask(f"{link}/profile", {**REPORTS, "display": "x" * LARGEST_BODY})[0] == 413
+    # The server says so before the body has come, and closes: a client may find that while it is sending.
+    head = f"POST {link}/profile HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+    lengths = ["Content-Length: 10000000\r\n\r\n", "Transfer-Encoding: chunked\r\n\r\n989680\r\n"]
+    for length in lengths:
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
+            connection.sendall((head + length).encode())
+            sent = 0
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                while sent < 10_000_000 and not select.select([connection], [], [], 0)[0]:
+                    sent += connection.send(b"x" * 10_000)
+            said = connection.recv(100)
+            assert said.startswith(b"HTTP/1.1 413 ") and sent < 10_000_000
+    assert client.tell(f"{link}/profile", REPORTS)[0] == 200  # nothing was recorded, and it still answers
+    client.close()
+
+
+def test_serve_says_where_it_is_and_how_many_came(tmp_path):
+    make_study(tmp_path)
+    with serving(tmp_path) as (process, port):
+        client = Client(port)
+        assert client.tell(f"{client.ready()}/answer", {"trial": 0, "side": "left", "response_time": 1.5})[0] == 200
+        client.close()
+        with pytest.raises(UsageError, match=rf"^cannot listen at 127\.0\.0\.1, port {port} \(.+\); try another port$"):
+            serve(tmp_path, EXPERIMENT, port=port)
+        assert stop_server(process) == f"stopped: 1 observers, 1 answers in {tmp_path / STORE}\n"
+    assert process.returncode == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["renders", "study.json", STORE]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"port": 70_000}, "port: expected 0 to 65535, found 70000"),
+        ({"host": "nowhere.invalid"}, "cannot listen at nowhere.invalid, port 0"),
+        ({"experiment": "quintet"}, "unknown experiment 'quintet'"),
+    ],
+)
+def test_bad_usage(tmp_path, change, said):
+    make_study(tmp_path)
+    with pytest.raises(UsageError) as caught:
+        serve(tmp_path, **{"experiment": EXPERIMENT, "port": 0, **change})
+    assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+
+
+def test_a_folder_without_a_plan(tmp_path):
+    with pytest.raises(DataError, match=r"study\.json: cannot be read"):
+        serve(tmp_path, EXPERIMENT, port=0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_addresses():
+    assert address("127.0.0.1", 80) == "http://127.0.0.1:80/" and address("::1", 80) == "http://[::1]:80/"
+    assert address("0.0.0.0", 8000) == f"http://{socket.gethostname()}:8000/"
+    with listening("127.0.0.1", 0) as listener:
+        assert listener.getsockname()[1] > 0
+
+
+def test_the_server_needs_nothing_heavy():
+    code = "import torchbrdf.study.server, sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "flask" in done.stdout.split()
+    assert not {"torch", "numpy", "scipy", "PIL", "matplotlib", "kornia"} & set(done.stdout.split())

@@ -1,0 +1,376 @@
+"""The server of a study: who may see and say what, and that nothing else is recorded or told."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from helpers.study_folder import (
+    BAD_ANSWERS,
+    BAD_BODIES,
+    BAD_REPORTS,
+    BAD_SCREENS,
+    EXPERIMENT,
+    GOOD,
+    REPORTS,
+    SCREEN,
+    SECRETS,
+    answer,
+    begin,
+    chunks_of,
+    make_study,
+    pixels_of,
+    ready,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.study import trials
+from torchbrdf.study.server import AHEAD, make_app, plain_png
+from torchbrdf.study.store import STORE, Store
+
+WHAT = ("reference", "left", "right")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    make_study(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    return make_study(tmp_path_factory.mktemp("plan"))
+
+
+@pytest.fixture(scope="module")
+def store(folder, plan):
+    made = Store(folder / STORE, plan)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def client(folder, store):
+    return make_app(folder, EXPERIMENT, store).test_client()
+
+
+def everything(response):
+    """All that a browser gets, as text."""
+    return f"{response.status} {response.headers} {response.get_data().decode('latin-1')}".lower()
+
+
+def test_a_whole_session_tells_no_names(client, store, plan, folder):
+    link = begin(client)
+    number = store.profiles()[-1]["number"]
+    shown = trials(plan, plan.experiment(EXPERIMENT), number)
+    got = [client.get("/"), client.get(link), client.get(f"{link}/state")]
+    assert [response.status_code for response in got] == [200, 200, 200]
+    assert got[-1].json == {"state": {"stage": "questions", "trial": 0, "of": 18}}
+    got.append(client.post(f"{link}/profile", json=REPORTS))
+    assert got[-1].json["state"]["stage"] == "screen"
+    got.append(client.post(f"{link}/screen", json=SCREEN))
+    assert got[-1].json["state"]["stage"] == "trials"
+    for k, trial in enumerate(shown):
+        material = plan.material(trial.material)
+        pictures = [material.reference] + [material.stimuli[name].picture for name in (trial.left, trial.right)]
+        for what, picture in zip(WHAT, pictures, strict=True):
+            got.append(client.get(f"{link}/{k}/{what}.png"))
+            assert got[-1].status_code == 200 and got[-1].content_type == "image/png"
+            assert (pixels_of(got[-1].data) == pixels_of((folder / picture).read_bytes())).all()
+            assert chunks_of(got[-1].data) == [b"IHDR", b"IDAT", b"IEND"]
+        got.append(answer(client, link, k, ("left", "right")[k % 2], 0.25 * k))
+        assert got[-1].status_code == 200
+        stage = "done" if k == 17 else "trials"
+        assert got[-1].json == {"state": {"stage": stage, "trial": k + 1, "of": 18}}
+    got += [client.get(f"/page/{name}") for name in ("study.js", "trials.js", "send.js", "study.css", "icon.svg")]
+    assert {response.status_code for response in got} == {200}
+    mine = [one for one in store.answers() if one.observer == store.profiles()[-1]["observer"]]
+    assert [one.chosen for one in mine] == [(one.left, one.right)[k % 2] for k, one in enumerate(shown)]
+    assert [one.response_time for one in mine] == [0.25 * k for k in range(18)]
+    for response in got:
+        for secret in SECRETS:
+            assert secret not in everything(response)
+        assert not {"ETag", "Last-Modified", "Content-Disposition", "Set-Cookie", "Location"} & set(response.headers)
+
+
+def test_a_picture_keeps_its_colours_and_loses_its_texts(folder, plan):
+    path = folder / plan.materials[0].reference
+    data = path.read_bytes()
+    assert plan.materials[0].name.encode() in data
+    assert {b"tEXt", b"zTXt", b"pHYs"} <= set(chunks_of(data))
+    plain = plain_png(data, path)
+    assert plan.materials[0].name.encode() not in plain and (pixels_of(plain) == pixels_of(data)).all()
+    gamma = data[:33] + bytes.fromhex("0000000467414d410000b18f0bfc6105") + data[33:]  # a gAMA chunk after the head
+    assert chunks_of(plain_png(gamma, path))[:2] == [b"IHDR", b"gAMA"]
+    for bad in (data[:-5], data + b"x", b"GIF89a" + data[6:], data[:8], b""):
+        with pytest.raises(DataError, match=r"cobalt\.png: expected a whole PNG, found something else$"):
+            plain_png(bad, path)
+
+
+def test_every_answer_is_guarded(client):
+    link = ready(client)
+    paths = [
+        "/",
+        link,
+        f"{link}/state",
+        f"{link}/0/left.png",
+        "/page/study.js",
+        "/nothing",
+        "/o/forged",
+        f"{link}/9/left.png",
+    ]
+    responses = [client.get(path) for path in paths] + [
+        client.put(link),
+        answer(client, link, 5),
+        client.post("/begin"),
+    ]
+    assert [response.status_code for response in responses] == [200] * 5 + [404, 404, 403, 405, 409, 415]
+    for response in responses:
+        policy = dict(part.strip().split(" ", 1) for part in response.headers["Content-Security-Policy"].split(";"))
+        assert policy["default-src"] == policy["frame-ancestors"] == policy["form-action"] == "'none'"
+        assert {policy[f"{what}-src"] for what in ("script", "style", "img", "connect")} == {"'self'"}
+        assert response.headers["X-Content-Type-Options"] == "nosniff"
+        assert response.headers["Referrer-Policy"] == "no-referrer"
+        assert response.headers["Cache-Control"] in ("no-store", "private, max-age=3600")
+    page = client.get(link).text
+    assert "http:" not in page and "https:" not in page and " style=" not in page and "<script>" not in page
+
+
+def test_pictures_are_seen_only_near_their_trial(client):
+    link = begin(client)
+    assert client.get(f"{link}/0/left.png").status_code == 403  # before the questions
+    client.post(f"{link}/profile", json=REPORTS)
+    assert client.get(f"{link}/0/left.png").status_code == 403
+    client.post(f"{link}/screen", json=SCREEN)
+    for at in range(19):
+        for what in WHAT:
+            seen = [k for k in range(21) if client.get(f"{link}/{k}/{what}.png").status_code == 200]
+            assert seen == list(range(at, min(at + AHEAD + 1, 18)))
+        assert client.get(f"{link}/{10**30}/left.png").status_code == 403
+        if at < 18:
+            answer(client, link, at)
+    for path in ("/0/middle.png", "/-1/left.png", "/0/left.jpg", "/0/left", "/one/left.png", "/0/", "/"):
+        assert client.get(link + path).status_code == 404
+
+
+def test_only_the_current_trial_is_answered(client, store):
+    link = ready(client)
+    before = len(store.answers())
+    assert answer(client, link, 0).status_code == 200
+    for trial in (0, 2, 17, 18, -1, 10**30):
+        response = answer(client, link, trial, "right")
+        assert response.status_code == 409
+        assert response.json["state"] == {"stage": "trials", "trial": 1, "of": 18}  # so that a page goes on
+    assert len(store.answers()) == before + 1
+    assert answer(client, begin(client), 0).status_code == 409
+    for trial in range(1, 18):
+        answer(client, link, trial)
+    assert answer(client, link, 18).status_code == 409
+    assert answer(client, link, 17).json["state"]["stage"] == "done"
+    assert len(store.answers()) == before + 18
+
+
+@pytest.mark.parametrize("token", ["forged", "A" * 22, "%00", "%ff%fe", "a" * 5000, "..", "'; DROP TABLE answers; --"])
+def test_a_forged_link_is_not_known(client, token):
+    gets = [client.get(f"/o/{token}{rest}") for rest in ("", "/state", "/0/left.png")]
+    bodies = {"profile": REPORTS, "screen": SCREEN, "answer": {"trial": 0, "side": "left", "response_time": 1}}
+    posts = [client.post(f"/o/{token}/{what}", json=body) for what, body in bodies.items()]
+    assert {response.status_code for response in gets + posts} == {404}
+
+
+def test_screening(client, store):
+    link = begin(client)
+    for vision in ("deficient", "not sure"):
+        link = begin(client)
+        said = client.post(f"{link}/profile", json={**REPORTS, "colour_vision": vision})
+        assert said.status_code == 200 and said.json["state"]["stage"] == "screened"
+        assert client.get(f"{link}/0/reference.png").status_code == 403
+        assert answer(client, link, 0).status_code == 403
+        assert client.post(f"{link}/profile", json=REPORTS).status_code == 409  # no second try
+        assert client.post(f"{link}/screen", json=SCREEN).status_code == 409
+        assert client.get(f"{link}/state").json["state"]["stage"] == "screened"
+        assert store.profiles()[-1]["let_in"] is False
+        assert store.profiles()[-1]["reports"]["colour_vision"] == vision
+
+
+def test_what_is_said_is_recorded_once(client, store):
+    link = begin(client)
+    assert client.post(f"{link}/screen", json=SCREEN).status_code == 409
+    assert client.post(f"{link}/profile", json=REPORTS).status_code == 200
+    again = client.post(f"{link}/profile", json={**REPORTS, "room": "dark"})
+    assert again.status_code == 409 and again.json["state"]["stage"] == "screen"
+    assert client.post(f"{link}/screen", json={**SCREEN, "card": None}).status_code == 200
+    assert client.post(f"{link}/screen", json=SCREEN).status_code == 409
+    profile = store.profiles()[-1]
+    assert profile["reports"] == REPORTS and profile["screen"] == {**SCREEN, "card": None}
+
+
+@pytest.mark.parametrize("body", [json.dumps(bad).encode() for bad in BAD_ANSWERS] + BAD_BODIES)
+def test_bad_answers_are_refused(client, store, body):
+    link = ready(client)
+    before = len(store.answers())
+    response = client.post(f"{link}/answer", data=body, content_type="application/json")
+    assert response.status_code == 400 and response.json["error"]
+    assert len(store.answers()) == before and client.get(f"{link}/state").json["state"]["trial"] == 0
+
+
+@pytest.mark.parametrize("time", [0, 0.0, 1, 3.25, 86_400])
+def test_good_response_times(client, store, time):
+    link = ready(client)
+    assert answer(client, link, 0, "right", time).status_code == 200
+    assert store.answers()[-1].response_time == time
+
+
+@pytest.mark.parametrize(
+    ("what", "body"), [("profile", bad) for bad in BAD_REPORTS] + [("screen", bad) for bad in BAD_SCREENS]
+)
+def test_bad_profiles_are_refused(client, store, what, body):
+    link = begin(client)
+    if what == "screen":
+        client.post(f"{link}/profile", json=REPORTS)
+    before = store.profiles()[-1]
+    assert client.post(f"{link}/{what}", data=json.dumps(body), content_type="application/json").status_code == 400
+    assert store.profiles()[-1] == before
+
+
+@pytest.mark.parametrize("body", [{"agreed": False}, {"agreed": 1}, {"agreed": "yes"}, {}, {"agreed": True, "x": 1}])
+def test_nobody_begins_without_consent(client, store, body):
+    before = len(store.profiles())
+    assert client.post("/begin", json=body).status_code == 400
+    assert len(store.profiles()) == before
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Content-Type": "text/plain"}, 415),
+        ({"Content-Type": "application/x-www-form-urlencoded"}, 415),
+        ({"Content-Type": "multipart/form-data; boundary=x"}, 415),
+        ({"Content-Type": ""}, 415),
+        ({"Content-Type": "application/json; charset=utf-8"}, 200),
+        ({"Origin": "http://localhost"}, 200),
+        ({"Origin": "https://localhost"}, 200),  # behind a proxy that speaks TLS
+        ({"Origin": "http://localhost:81"}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "http://localhost.evil.example"}, 403),
+        ({"Origin": "http://localhost@evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://[bad"}, 403),
+        ({"Origin": ""}, 403),
+    ],
+)
+def test_headers_of_posts(client, store, headers, status):
+    link = ready(client)
+    before = len(store.answers())
+    posted = client.post(
+        f"{link}/answer", data=json.dumps(GOOD), headers={"Content-Type": "application/json"} | headers
+    )
+    assert posted.status_code == status
+    assert len(store.answers()) == before + (status == 200)
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "PATCH", "TRACE", "PROPFIND", "FROB"])
+def test_unknown_methods(client, store, method):
+    link = ready(client)
+    before = len(store.answers()), len(store.profiles())
+    for path in ("/", "/begin", link, f"{link}/state", f"{link}/answer", f"{link}/0/left.png", "/page/study.js"):
+        assert client.open(path, method=method, json=GOOD).status_code == 405
+    for path in ("/", link, f"{link}/state", f"{link}/0/left.png"):
+        assert client.post(path, json=GOOD).status_code == 405
+    for path in ("/begin", f"{link}/answer", f"{link}/profile", f"{link}/screen"):
+        assert client.get(path).status_code == 405
+    assert (len(store.answers()), len(store.profiles())) == before
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def nearly(good):
+    """Objects with most of the right fields, right or wrong."""
+    fields = {key: st.just(value) | ANYTHING for key, value in good.items()}
+    return st.fixed_dictionaries({}, optional=fields | {"else": ANYTHING})
+
+
+def bodies(good):
+    text = (nearly(good) | ANYTHING).map(lambda record: json.dumps(record).encode())
+    return text | st.binary(max_size=200)
+
+
+FUZZ = settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+
+
+@FUZZ
+@given(body=bodies(GOOD), content_type=st.sampled_from(["application/json"] * 5 + ["text/plain", "x", ""]))
+def test_fuzzed_answers(client, store, body, content_type):
+    link = ready(client)
+    before = len(store.answers())
+    status = client.post(f"{link}/answer", data=body, content_type=content_type).status_code
+    assert status in (200, 400, 409, 415)
+    assert len(store.answers()) == before + (status == 200)
+    if status == 200:
+        record = json.loads(body)
+        assert set(record) == set(GOOD) and record["trial"] == 0 and record["side"] in ("left", "right")
+        assert store.answers()[-1].response_time == record["response_time"]
+
+
+@FUZZ
+@given(body=bodies(REPORTS), other=bodies(SCREEN))
+def test_fuzzed_profiles(client, store, body, other):
+    link = begin(client)
+    status = client.post(f"{link}/profile", data=body, content_type="application/json").status_code
+    assert status in (200, 400)
+    profile = store.profiles()[-1]
+    assert profile["reports"] == (json.loads(body) if status == 200 else None)
+    if status == 400:
+        client.post(f"{link}/profile", json=REPORTS)
+    if client.get(f"{link}/state").json["state"]["stage"] == "screen":
+        status = client.post(f"{link}/screen", data=other, content_type="application/json").status_code
+        assert status in (200, 400)
+        assert store.profiles()[-1]["screen"] == (json.loads(other) if status == 200 else None)
+
+
+@FUZZ
+@given(
+    path=st.text(st.characters(exclude_categories=("Cc", "Cs")), max_size=30),  # a client leaves out line breaks
+    parts=st.lists(st.sampled_from(["..", "%2e%2e", "/", "o", "page", "0", "\\"]), max_size=6),
+)
+def test_fuzzed_paths(client, path, parts):
+    for tried in (f"/{path}", "/" + "/".join(parts), f"/page/{path}", f"/o/{path}/0/left.png"):
+        if tried.startswith("//"):  # what the client takes for a host
+            continue
+        response = client.get(tried)
+        assert response.status_code in (200, 400, 404, 405)
+        if response.status_code == 200:
+            assert tried.split("?")[0].split("#")[0].strip("/") == "" or tried.startswith("/page/")
+
+
+@pytest.mark.parametrize(
+    ("screening", "said"),
+    [
+        ({"color_vision": ("normal",)}, "unknown self-report to screen by 'color_vision'.*'colour_vision'"),
+        ({"colour_vision": ("perfect",)}, "unknown answer to colour_vision 'perfect'"),
+        ({"display": ("laptop",)}, "unknown self-report to screen by 'display'"),
+    ],
+)
+def test_screening_that_lets_nobody_in(folder, plan, tmp_path, screening, said):
+    store = Store(tmp_path / STORE, replace(plan, screening=screening))
+    with pytest.raises(UsageError, match=said):
+        make_app(folder, EXPERIMENT, store)
+    store.close()
+
+
+def test_words_of_a_plan(folder, plan, tmp_path):
+    texts = {"title": "A <b>bold</b> title", "consent": "One.\n\nTwo & three.\n \nFour.", "thanks": "Ta."}
+    store = Store(tmp_path / STORE, replace(plan, texts=texts))
+    client = make_app(folder, EXPERIMENT, store).test_client()
+    page = client.get("/").text
+    assert page.count("A &lt;b&gt;bold&lt;/b&gt; title") == 2 and "<b>" not in page
+    assert "<p>One.</p><p>Two &amp; three.</p><p>Four.</p>" in page
+    assert "<p>Ta.</p>" in client.get(begin(client)).text
+    store.close()

@@ -1,0 +1,46 @@
+"""What people answered elsewhere about how alike materials look, and how well a loss predicts it."""
+
+from torchbrdf.perception.agreement.scores import (
+    METHODS,
+    Seen,
+    Subjects,
+    distances,
+    gather,
+    score_opinions,
+    score_triplets,
+)
+from torchbrdf.perception.agreement.table import Distances, Table, statistics_of, tabulate
+from torchbrdf.perception.datasets.benchmark_data import read_subjects
+from torchbrdf.perception.datasets.factors import FACTORS, FactorFits, FactorModel, read_factors
+from torchbrdf.perception.datasets.lagunas import read_lagunas
+from torchbrdf.perception.datasets.opinions import Opinions, read_opinions
+from torchbrdf.perception.datasets.published import PublishedFits, read_published
+from torchbrdf.perception.datasets.triplets import Triplets, read_triplets
+from torchbrdf.perception.directions import uniform_pairs
+
+__all__ = [
+    "FACTORS",
+    "METHODS",
+    "Distances",
+    "FactorFits",
+    "FactorModel",
+    "Opinions",
+    "PublishedFits",
+    "Seen",
+    "Subjects",
+    "Table",
+    "Triplets",
+    "distances",
+    "gather",
+    "read_factors",
+    "read_lagunas",
+    "read_opinions",
+    "read_published",
+    "read_subjects",
+    "read_triplets",
+    "score_opinions",
+    "score_triplets",
+    "statistics_of",
+    "tabulate",
+    "uniform_pairs",
+]

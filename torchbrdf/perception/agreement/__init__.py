@@ -1,0 +1,1 @@
+"""How well a distance agrees with people: statistics, scores, tables."""

@@ -1,0 +1,174 @@
+"""Distances that a loss gives where people gave answers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.losses import Loss, ObservedLoss
+from torchbrdf.measured import Measured
+from torchbrdf.measured.catalogue import is_merl
+from torchbrdf.pairs import Pairs
+from torchbrdf.perception.datasets.opinions import Opinions
+from torchbrdf.perception.datasets.triplets import Triplets
+
+# Bytes of values that a loss sees at once; it may make several times as many on its way.
+_SEEN = 2**23
+# Materials whose values on the pairs of a scene are held at once.
+_MATERIALS = 8
+
+METHODS = {"WARD": "ngan_ward", "BLINN-PHONG": "ngan_blinnphong", "SGD": "bagher_sgd", "ABC": "low_lowmicrofacet_E2"}
+"""Methods of the opinions whose parameters are published, and the set of `perception.datasets.published` that has them."""
+
+
+class Approximation(Protocol):
+    """Models of several materials."""
+
+    @property
+    def materials(self) -> list[str]: ...
+    def of(self, materials: Sequence[str]) -> nn.Module:
+        """A batched model of these materials, in this order, that gives values on pairs."""
+        ...
+
+
+@dataclass(frozen=True)
+class Subjects:
+    """What people were asked about, as BRDFs: the materials, and approximations of some of them.
+
+    measured: has all materials of the triplets, by name. approximations: by method. Rows of the opinions of other
+    methods, or of materials that a method has no model of, are left out: `opinions` are those that remain.
+    """
+
+    measured: Measured
+    triplets: Triplets
+    all_opinions: Opinions
+    approximations: Mapping[str, Approximation]
+
+    def __post_init__(self) -> None:
+        wanted = self.names
+        missing = sorted(set(wanted) - set(self.measured.names))
+        if missing:
+            shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+            raise DataError(
+                f"materials: expected all {len(wanted)} that people were asked about, found {len(self.measured)} "
+                f"without {len(missing)} of them: {shown}"
+            )
+
+    @cached_property
+    def opinions(self) -> Opinions:
+        """The opinions of approximations that have a model."""
+        given = {method: set(models.materials) for method, models in self.approximations.items()}
+        named = enumerate(zip(self.all_opinions.methods, self.all_opinions.materials, strict=True))
+        return self.all_opinions.select([row for row, (method, name) in named if name in given.get(method, ())])
+
+    @property
+    def names(self) -> list[str]:
+        """The materials of the triplets, and behind them those that only have approximations."""
+        return list(dict.fromkeys([*self.triplets.materials, *self.opinions.materials]))
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether any table is not MERL's own, by its checksum."""
+        return self.measured.stand_in or not all(is_merl(path) for path in self.measured.source.paths)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Methods that have opinions but no model."""
+        return sorted(set(self.all_opinions.methods) - set(self.approximations))
+
+    def references(self, pairs: Pairs, materials: Sequence[str]) -> Tensor:
+        """Values of the materials, `(K, N, 3)`, in the dtype of the pairs."""
+        place = {name: k for k, name in enumerate(self.measured.names)}
+        return self.measured.batch([place[name] for name in materials]).at(pairs)
+
+    def approximated(self, pairs: Pairs, rows: Sequence[int]) -> Tensor:
+        """Values of some rows of the opinions, `(len(rows), N, 3)`, in the dtype of the pairs."""
+        methods, materials = self.opinions.methods, self.opinions.materials
+        values = pairs.cos_i.new_empty(len(rows), len(pairs), 3)
+        with torch.no_grad():
+            for method in dict.fromkeys(methods[row] for row in rows):
+                own = [k for k, row in enumerate(rows) if methods[row] == method]
+                model = self.approximations[method].of([materials[rows[k]] for k in own])
+                values[own] = model.to(pairs.device, pairs.dtype)(pairs)
+        return values
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What losses compare: materials `(K, n, 3)` in the order of the triplets' names, and approximations `(R, n, 3)` in
+    that of the opinions' rows. `target` is the place of each approximation's material, `(R,)`.
+
+    n counts pairs, and then `pairs` has them, or pixels that a loss observes, and then it is None.
+    """
+
+    materials: Tensor
+    approximations: Tensor
+    target: Tensor
+    pairs: Pairs | None
+
+
+def gather(subjects: Subjects, pairs: Pairs, through: ObservedLoss | None = None) -> Seen:
+    """The values of all that people were asked about on some pairs, `(N,)` or `(1, N)`, once for all losses.
+
+    through: keep not the values but what this loss observes of them; `pairs` are then those of its scene.
+    """
+    names = subjects.names
+    place = {name: k for k, name in enumerate(names)}
+    step = len(names) if through is None else _MATERIALS
+    rows = list(range(len(subjects.opinions)))
+    view = (lambda values: values) if through is None else through.observe
+    return Seen(
+        torch.cat([view(subjects.references(pairs, names[k : k + step])) for k in range(0, len(names), step)]),
+        torch.cat(
+            [view(subjects.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
+            or [pairs.cos_i.new_empty(0, len(pairs), 3)]
+        ),
+        torch.tensor([place[name] for name in subjects.opinions.materials], dtype=torch.long),
+        pairs if through is None else None,
+    )
+
+
+def distances(
+    loss: Loss, prediction: Tensor, target: Tensor, pairs: Pairs | None, first: Tensor, second: Tensor
+) -> Tensor:
+    """loss(prediction[first], target[second], pairs), `(P,)` float64, for P places in `(K, n, 3)` each; in batches.
+
+    pairs: those of the values, or None, where what is compared is what an ObservedLoss observes.
+    """
+    if loss.reduction != "none":
+        raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
+    found = torch.empty(len(first), dtype=torch.float64)
+    step = max(_SEEN // (prediction[0].numel() * prediction.element_size()), 1)
+    with torch.no_grad():
+        for k in range(0, len(first), step):
+            one, other = prediction[first[k : k + step]], target[second[k : k + step]]
+            if pairs is None:
+                if not isinstance(loss, ObservedLoss):
+                    raise UsageError(f"{type(loss).__name__}: compares values on pairs, but no pairs were given")
+                found[k : k + step] = loss.figure(loss.value(one, other))
+            else:
+                found[k : k + step] = loss(one, other, pairs)
+    return found
+
+
+def score_triplets(loss: Loss, seen: Seen, triplets: Triplets) -> Tensor:
+    """Distances of the candidates from the reference, `(K, K)` float64 at [reference, candidate]; nan where no question
+    asks for one. The candidate is the prediction, the reference the target."""
+    count = len(triplets.materials)
+    reference, a, b = triplets.questions.unbind(1)
+    place = torch.cat([reference * count + a, reference * count + b]).unique()
+    matrix = torch.full((count * count,), torch.nan, dtype=torch.float64)
+    matrix[place] = distances(
+        loss, seen.materials, seen.materials, seen.pairs, place % count, place.div(count, rounding_mode="floor")
+    )
+    return matrix.unflatten(0, (count, count))
+
+
+def score_opinions(loss: Loss, seen: Seen) -> Tensor:
+    """Distances of the approximations from their materials, `(R,)` float64. The material is the target."""
+    rows = torch.arange(len(seen.approximations))
+    return distances(loss, seen.approximations, seen.materials, seen.pairs, rows, seen.target)

@@ -1,0 +1,185 @@
+"""How often distances agree with people, how sure that is, and how often people agree with each other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.perception.datasets.opinions import Opinions
+from torchbrdf.perception.datasets.triplets import Triplets
+
+# Bytes of the weights of bootstrap replicates that are held at once.
+_HELD = 2**26
+
+
+@dataclass(frozen=True)
+class Comparisons:
+    """C comparisons of two distances, of which people found one to be smaller.
+
+    nearer, farther: of each comparison, the places of the smaller and of the larger distance in a vector of distances,
+    `(C,)` long. materials: the different materials that a comparison is about, `(C, k)` long, -1 where it is about
+    fewer. weight: how much it counts, `(C,)` float64. group: which average it enters, `(C,)` long from 0: shares are
+    taken in each group, and then their mean over the groups.
+    """
+
+    nearer: Tensor
+    farther: Tensor
+    materials: Tensor
+    weight: Tensor
+    group: Tensor
+
+    def __len__(self) -> int:
+        return len(self.nearer)
+
+    def right(self, distances: Tensor) -> Tensor:
+        """Which comparisons each of L sets of distances `(L, n)` orders right, `(L, C)` float64: 1, 0, or 0.5 for equal
+        distances. A distance that is not a number is always wrong."""
+        near, far = distances[:, self.nearer], distances[:, self.farther]
+        return (near < far).double() + 0.5 * (near == far).double()
+
+    def share(self, right: Tensor, resamples: Tensor | None = None) -> Tensor:
+        """The weighted share of comparisons that are right, `(L,)` of `(L, C)`; of each of B resamples, `(B, L)`.
+
+        resamples: how often each material was drawn, `(B, K)`. A comparison counts once for every way to choose its
+        materials from those drawn, which is the product of their multiplicities.
+        """
+        groups = int(self.group.max()) + 1 if len(self) else 0
+        if not groups:
+            raise UsageError("no comparisons to take a share of")
+        if resamples is None:
+            return self._share(right, self.weight[None], groups)[0]
+        # One more, undrawn material, of multiplicity 1, stands where there is none.
+        times = torch.cat([resamples.double(), torch.ones(len(resamples), 1, dtype=torch.float64)], 1)
+        parts = []
+        for part in times.split(max(_HELD // (8 * len(self) * 2), 1)):
+            weight = self.weight.expand(len(part), -1).clone()
+            for column in self.materials.unbind(1):
+                weight *= part[:, column]
+            parts.append(self._share(right, weight, groups))
+        return torch.cat(parts)
+
+    def _share(self, right: Tensor, weight: Tensor, groups: int) -> Tensor:
+        shares = []
+        for group in range(groups):
+            inside = (self.group == group).nonzero()[:, 0]
+            own = weight if groups == 1 else weight[:, inside]
+            shares.append(own @ (right if groups == 1 else right[:, inside]).T / own.sum(1, keepdim=True))
+        return torch.stack(shares).nanmean(0)  # a resample may lack a group
+
+
+def majorities(triplets: Triplets) -> Comparisons:
+    """One comparison a question that is no tie: its larger vote is for the nearer candidate.
+
+    Distances are those of a matrix `(K, K)`, flattened: reference times K plus candidate.
+    """
+    chosen = triplets.select(triplets.decided)
+    swap = chosen.votes[:, 1] > chosen.votes[:, 0]
+    return _triples(chosen, swap, torch.ones(len(chosen), dtype=torch.float64))
+
+
+def single_votes(triplets: Triplets) -> Comparisons:
+    """One comparison for every vote of every question, ties too; distances as for `majorities`."""
+    first, second = (
+        _triples(triplets, torch.full((len(triplets),), bool(k)), triplets.votes[:, k].double()) for k in (0, 1)
+    )
+    return Comparisons(
+        *(torch.cat(pair) for pair in zip(vars(first).values(), vars(second).values(), strict=True)),
+    )
+
+
+def same_material(opinions: Opinions, *, apart: bool = False) -> Comparisons:
+    """Pairs of methods that approximate one material and whose opinions differ; distances are one a row of opinions.
+
+    apart: only those that differ by more than two standard errors of the difference, sqrt(se1^2 + se2^2).
+    """
+    material = _numbered(opinions.materials)
+    first, second = _pairs(material)
+    difference = opinions.distance[first] - opinions.distance[second]
+    keep = difference.abs() > (2 * _spread(opinions, first, second) if apart else 0)
+    return _rows(opinions, first[keep], second[keep], material, None)
+
+
+def across_materials(opinions: Opinions) -> Comparisons:
+    """Pairs of materials under one method whose opinions differ: a group for each method."""
+    method, material = _numbered(opinions.methods), _numbered(opinions.materials)
+    first, second = _pairs(method)
+    keep = opinions.distance[first] != opinions.distance[second]
+    return _rows(opinions, first[keep], second[keep], material, method)
+
+
+def majority_of_votes(triplets: Triplets) -> Tensor:
+    """What a predictor that always knows the majority would get of `single_votes`, `(1, C)`: it is wrong about the
+    votes of the minority, and halfway right about ties."""
+    a, b = triplets.votes.double().unbind(1)
+    known = (a > b).double() + 0.5 * (a == b).double()
+    return torch.cat([known, 1 - known])[None]
+
+
+def expected_order(comparisons: Comparisons, opinions: Opinions) -> Tensor:
+    """How often noisy mean opinions would be in the order of the true ones, for each comparison, `(1, C)`.
+
+    With the differences D of the opinions taken as true and standard errors s1, s2 it is Phi(D / sqrt(s1^2 + s2^2)).
+    As observed differences are somewhat larger than true ones, it is a ceiling rather on the high side.
+    """
+    nearer, farther = comparisons.nearer, comparisons.farther
+    difference = opinions.distance[farther] - opinions.distance[nearer]
+    return torch.special.ndtr(difference / _spread(opinions, nearer, farther))[None]
+
+
+def resample(materials: int, count: int = 1000, seed: int = 0) -> Tensor:
+    """How often each of K materials is drawn when K are drawn with replacement, `(count, K)` long."""
+    generator = torch.Generator().manual_seed(seed)
+    drawn = torch.randint(materials, (count, materials), generator=generator)
+    return torch.zeros(count, materials, dtype=torch.long).scatter_add_(1, drawn, torch.ones_like(drawn))
+
+
+def interval(replicates: Tensor, level: float = 0.95) -> Tensor:
+    """Percentile interval of replicates `(B, L)`, `(L, 2)`."""
+    ends = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=replicates.dtype)
+    return replicates.nanquantile(ends, 0).T
+
+
+def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> Comparisons:
+    reference, a, b = triplets.questions.unbind(1)
+    count = len(triplets.materials)
+    return Comparisons(
+        nearer=reference * count + torch.where(swap, b, a),
+        farther=reference * count + torch.where(swap, a, b),
+        materials=triplets.questions,
+        weight=weight,
+        group=torch.zeros_like(reference),
+    )
+
+
+def _rows(opinions: Opinions, first: Tensor, second: Tensor, material: Tensor, group: Tensor | None) -> Comparisons:
+    swap = opinions.distance[first] > opinions.distance[second]
+    one, other = material[first], material[second]
+    return Comparisons(
+        nearer=torch.where(swap, second, first),
+        farther=torch.where(swap, first, second),
+        materials=torch.stack([one, torch.where(one == other, -1, other)], 1),
+        weight=torch.ones(len(first), dtype=torch.float64),
+        group=torch.zeros_like(first) if group is None else group[first].unique(return_inverse=True)[1],
+    )
+
+
+def _numbered(names: Sequence[str]) -> Tensor:
+    """The place of each name among the sorted different ones."""
+    place = {name: k for k, name in enumerate(sorted(set(names)))}
+    return torch.tensor([place[name] for name in names], dtype=torch.long)
+
+
+def _pairs(label: Tensor) -> tuple[Tensor, Tensor]:
+    """Places of two different rows with the same label, each two once."""
+    if label.dim() != 1:
+        raise ShapeError(f"expected labels (R,), found {(*label.shape,)}")
+    first, second = torch.triu_indices(len(label), len(label), 1)
+    same = label[first] == label[second]
+    return first[same], second[same]
+
+
+def _spread(opinions: Opinions, first: Tensor, second: Tensor) -> Tensor:
+    error = opinions.standard_error
+    return (error[first].square() + error[second].square()).sqrt()

@@ -1,0 +1,1 @@
+"""A metric learned from answers: training sets and training."""

@@ -1,0 +1,1 @@
+"""What lights a scene: environments and punctual lights."""

@@ -1,0 +1,227 @@
+"""Light from all around, infinitely far away."""
+
+import importlib.resources
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.images import luminance, read_image
+from torchbrdf.parallel import each
+from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square
+from torchbrdf.render.light.studio import make_studio
+
+# Texels along a side of the map that an environment is kept as; 0.4 degrees each.
+RESOLUTION = 512
+_SUPERSAMPLING = 4
+_STRIP = 8
+# A picture wider than this is averaged down first, since the map could not show more.
+_WIDEST = 4 * RESOLUTION
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Fixed directional lights: unit `direction` `(L, 3)`, and `flux` `(L, 3)`, radiance times solid angle."""
+
+    direction: Tensor
+    flux: Tensor
+
+
+class Environment:
+    """Radiance from every direction, kept as an equal-area octahedral map and its averages.
+
+    The vertical axis is +y. A latitude-longitude picture (width = 2 height) shows -z in its middle, +x to the right
+    of that and +y at its top; Debevec's angular map (square) shows the same, with +z all along its rim. `rotation`
+    turns the surroundings about +y, counter-clockwise as seen from above, in degrees.
+    Source of the conventions: P. Debevec, https://www.pauldebevec.com/Probes/.
+    """
+
+    def __init__(self, texels: Tensor, rotation: float = 0.0) -> None:
+        if not math.isfinite(rotation):
+            raise UsageError(f"Environment.rotation: expected degrees, found {rotation}")
+        self.texels = texels
+        self.rotation = float(rotation)
+
+    @classmethod
+    def from_file(cls, path: str | Path, rotation: float = 0.0) -> "Environment":
+        """From a `.exr` or Radiance `.hdr` picture, latitude-longitude or angular map."""
+        return cls.from_image(read_image(path), rotation, where=str(path))
+
+    @classmethod
+    def default(cls, rotation: float = 0.0) -> "Environment":
+        """The grove that comes with the package; `torchbrdf.render.light.grove` made it."""
+        with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "grove.exr") as path:
+            return cls.from_file(path, rotation)
+
+    @classmethod
+    def find(cls, name: str, rotation: float = 0.0) -> "Environment":
+        """The grove, the studio (`torchbrdf.render.light.studio`), or a light probe's file."""
+        if name == "grove":
+            return cls.default(rotation)
+        return cls.from_image(make_studio(), rotation) if name == "studio" else cls.from_file(name, rotation)
+
+    @classmethod
+    def from_image(cls, image: Tensor, rotation: float = 0.0, where: str = "environment") -> "Environment":
+        """From a linear picture `(H, W, 3)`, area-averaged onto the map."""
+        _check(image, where)
+        height, width = image.shape[:2]
+        planes = image.to(torch.float32).movedim(-1, 0)[None]
+        if width > _WIDEST:
+            planes = F.adaptive_avg_pool2d(planes, (_WIDEST * height // width, _WIDEST))
+        find = _angular_map if height == width else _latitude_longitude
+        if height != width:
+            planes = F.pad(planes, (1, 1, 0, 0), mode="circular")
+        fine = RESOLUTION * _SUPERSAMPLING
+        step = (torch.arange(fine) + 0.5) * (2 / fine) - 1
+
+        def strip(rows: Tensor) -> Tensor:
+            second, first = torch.meshgrid(rows, step, indexing="ij")
+            place = find(to_sphere(first, second), planes.shape[-1])
+            samples = F.grid_sample(planes, place[None], mode="bilinear", padding_mode="border", align_corners=False)
+            return F.avg_pool2d(samples, _SUPERSAMPLING)
+
+        strips = list(each(strip, step.split(_STRIP * _SUPERSAMPLING)))
+        return cls(torch.cat(strips, 2)[0].movedim(0, -1).contiguous(), rotation)
+
+    def rotated(self, degrees: float) -> "Environment":
+        """The same surroundings, turned by so much more."""
+        return Environment(self.texels, self.rotation + degrees)
+
+    @cached_property
+    def _pyramid(self) -> list[Tensor]:
+        """The map and its 2 x 2 averages, down to one texel; exact in energy, since all texels are equal."""
+        levels = [self.texels]
+        while levels[-1].shape[0] > 1:
+            levels.append(_halved(levels[-1]) / 4)
+        return levels
+
+    @cached_property
+    def _atlas(self) -> tuple[Tensor, Tensor]:
+        """All levels, padded, as rows of one table, and where each starts: whole numbers that float32 has exactly."""
+        levels = [padded(level).reshape(-1, 3) for level in self._pyramid]
+        starts = [sum(len(level) for level in levels[:k]) for k in range(len(levels))]
+        return torch.cat(levels), torch.tensor(starts, dtype=torch.float32)
+
+    def _turned(self, directions: Tensor, degrees: float) -> Tensor:
+        angle = math.radians(degrees)
+        cos, sin = math.cos(angle), math.sin(angle)
+        x, y, z = directions.unbind(-1)
+        return torch.stack([cos * x + sin * z, y, cos * z - sin * x], -1)
+
+    def lookup(self, directions: Tensor, solid_angle: Tensor) -> Tensor:
+        """Radiance `(..., 3)` from unit vectors `(..., 3)`, averaged over about `solid_angle` `(...)` around each.
+
+        Linear within and between levels, and across the borders of the map. Below one texel's solid angle the map is
+        interpolated.
+        """
+        if self.rotation:
+            directions = self._turned(directions, -self.rotation)
+        finest = self.texels.shape[0]
+        level = 0.5 * torch.log2(solid_angle * (finest**2 / (4 * math.pi)))
+        level = level.clamp(0, len(self._pyramid) - 1)
+        first, second = (0.5 + 0.5 * place for place in to_square(directions))
+        table, starts = self._atlas
+        lower = level.floor()
+        upper_share = level - lower
+        places, shares = [], []
+        for depth, share in ((lower, 1 - upper_share), ((lower + 1).clamp_max(len(starts) - 1), upper_share)):
+            side = finest * torch.exp2(-depth)
+            across, down = first * side + 0.5, second * side + 0.5  # texel centres at whole numbers, behind the padding
+            left, top = across.floor(), down.floor()
+            across, down = across - left, down - top
+            corner = starts.take(depth.to(torch.int64)) + top * (side + 2) + left
+            places += [corner, corner + 1, corner + (side + 2), corner + (side + 3)]
+            under = share * down
+            over = share - under
+            right_over, right_under = over * across, under * across
+            shares += [over - right_over, right_over, under - right_under, right_under]
+        rows, weights = _beside(places, torch.int32), _beside(shares, torch.float32)
+        found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
+        return found.reshape(*directions.shape[:-1], 3)
+
+    def lights(self, count: int) -> Lights:
+        """At most `count` lights that stand for the whole environment with the same flux.
+
+        The map is a quadtree. Where the luminance-weighted variance of direction times flux, the leading term of what
+        one light in a node's place gets wrong, is largest, the node is split; each leaf becomes a light at its
+        luminance-weighted mean direction. Every split adds three lights. The environment's constant part alone gives
+        equal squares, a small sun gets small ones.
+        """
+        if count < 4:
+            raise UsageError(f"lights: expected at least 4, found {count}")
+        finest = self._pyramid[1].to(torch.float64)  # 0.8 degrees: no light need be smaller
+        flux = finest * (4 * math.pi / finest.shape[0] ** 2)
+        bright = luminance(flux)[..., None]
+        # Sums over each node of flux, luminance, and direction times luminance; then what splitting it would gain.
+        sums = torch.cat([flux, bright, texel_centers(finest.shape[0], torch.float64) * bright], -1)
+        nodes, gains = [sums], [torch.zeros_like(bright)]
+        while nodes[0].shape[0] > 1:
+            nodes.insert(0, _halved(nodes[0]))
+            bright, moment = nodes[0][..., 3:4], nodes[0][..., 4:]
+            spread = bright - moment.square().sum(-1, keepdim=True) / bright.clamp_min(1e-300)
+            # never less than a child's, in spite of rounding, so that no node is split before its parent
+            largest = F.max_pool2d(gains[0].movedim(-1, 0), 2).movedim(0, -1)
+            gains.insert(0, torch.maximum(spread, largest))
+        gain = torch.cat([level.flatten() for level in gains[:-1]])
+        split = torch.zeros(sum(level.numel() for level in gains), dtype=torch.bool)
+        split[gain.argsort(descending=True, stable=True)[: (count - 1) // 3]] = True
+        leaves, exists = [], torch.ones(1, 1, dtype=torch.bool)
+        for level, divided in zip(nodes, split.split([level.numel() for level in gains]), strict=True):
+            divided = exists & divided.reshape(exists.shape)
+            leaves.append(level[exists & ~divided & (level[..., 3] > 0)])
+            exists = divided.repeat_interleave(2, 0).repeat_interleave(2, 1)
+        flux, _, moment = torch.cat(leaves).split([3, 1, 3], -1)
+        direction = self._turned(F.normalize(moment, dim=-1), self.rotation)
+        return Lights(direction.to(torch.float32), flux.to(torch.float32))
+
+
+def _beside(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
+    """Parts `(...)` as columns, `(N, k)`: what torch.stack does, in half the time."""
+    whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype)
+    for column, part in enumerate(parts):
+        whole[..., column] = part
+    return whole.reshape(-1, len(parts))
+
+
+def _halved(texels: Tensor) -> Tensor:
+    """Sums of 2 x 2."""
+    return texels.unflatten(0, (-1, 2)).unflatten(2, (-1, 2)).sum((1, 3))
+
+
+def _check(image: Tensor, where: str) -> None:
+    if image.dim() != 3 or image.shape[-1] != 3:
+        raise DataError(f"{where}: expected a picture (H, W, 3), found {(*image.shape,)}")
+    height, width = image.shape[:2]
+    if width not in (height, 2 * height):
+        raise DataError(
+            f"{where}: expected a latitude-longitude map (width = 2 height) or an angular map (width = height), "
+            f"found {width} x {height} pixels"
+        )
+    for bad, what in ((~image.isfinite(), "is not finite"), (image < 0, "is negative")):
+        if bad.any():
+            row, column, channel = bad.nonzero()[0].tolist()
+            value = image[row, column, channel].item()
+            raise DataError(f"{where}: radiance {what}: {value} at row {row}, column {column}, channel {channel}")
+    if not image.any():
+        raise DataError(f"{where}: the whole picture is black")
+
+
+def _latitude_longitude(directions: Tensor, padded_width: int) -> Tensor:
+    """Where directions lie in a picture with one column more on either side, in grid_sample's coordinates."""
+    x, y, z = directions.unbind(-1)
+    across = torch.atan2(x, -z) * (padded_width - 2) / (padded_width * math.pi)
+    down = torch.atan2((x.square() + z.square()).sqrt(), y) * (2 / math.pi) - 1
+    return torch.stack([across, down], -1)
+
+
+def _angular_map(directions: Tensor, width: int) -> Tensor:
+    """Where directions lie in an angular map: the angle from -z is the distance from the middle."""
+    x, y, z = directions.unbind(-1)
+    flat = (x.square() + y.square()).sqrt()
+    ratio = torch.atan2(flat, -z) / (math.pi * flat.clamp_min(1e-12))
+    return torch.stack([x * ratio, -y * ratio], -1)

@@ -1,0 +1,1 @@
+"""Which triangle each pixel sees: camera, mesh, and rasterisers in software and OpenGL."""

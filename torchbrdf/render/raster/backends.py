@@ -1,0 +1,96 @@
+"""What finds the triangle that each pixel shows: OpenGL where it works, else software."""
+
+import functools
+import logging
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchbrdf.errors import UsageError
+from torchbrdf.registry import unknown
+from torchbrdf.render.raster import opengl, zbuffer
+
+BACKENDS = ("auto", "pyrender", "software")
+
+# Seconds for OpenGL to show that it works; importing it from a cold disk takes a while.
+_PATIENCE = 60.0
+_INSTALL = "on Debian apt-get install libegl1 libgl1 libgl1-mesa-dri libxrender1"
+
+
+@dataclass(frozen=True)
+class OpenGL:
+    """What was found: the renderer's name, or, if that is None, why it does not work."""
+
+    renderer: str | None
+    reason: str = ""
+
+
+@functools.cache
+def find_opengl() -> OpenGL:
+    """Whether OpenGL draws, tried once, in another process: where it fails, it may crash, or hang, or leave PyOpenGL
+    half imported."""
+    try:
+        done = subprocess.run(
+            # -P, lest this folder's modules hide others by their names
+            [sys.executable, "-P", opengl.__file__],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PATIENCE,
+        )
+    except subprocess.TimeoutExpired:
+        return OpenGL(None, f"no picture within {_PATIENCE:.0f} s")
+    except OSError as error:
+        return OpenGL(None, f"could not be tried: {error}")
+    said = (done.stdout.strip().splitlines() or [""])[-1].rstrip(".")
+    if done.returncode == 0 and said:
+        return OpenGL(said)
+    return OpenGL(None, said or f"the trial ended with status {done.returncode}")
+
+
+@functools.cache
+def _usable() -> bool:
+    """Whether auto means OpenGL; it is said once if not."""
+    found = find_opengl()
+    if not found.renderer:
+        logging.getLogger("torchbrdf").info("torchbrdf: rasterizing in software; OpenGL: %s", found.reason)
+    return bool(found.renderer)
+
+
+def nearest(points: np.ndarray, faces: np.ndarray, size: int, backend: str) -> np.ndarray:
+    """The id of the nearest triangle at each pixel's centre, `(size, size)`, -1 where there is none.
+
+    points: `(3, V)`, column, row and closeness as `View.project` gives them; faces: `(F, 3)`.
+    backend: software, pyrender, or auto, which is pyrender where that works.
+    """
+    if backend not in BACKENDS:
+        raise unknown("backend", backend, BACKENDS)
+    if backend == "software" or (backend == "auto" and not _usable()):
+        return zbuffer.nearest(points, faces, size)
+    try:
+        return _by_opengl(points, faces, size)
+    except UsageError as error:
+        if backend == "pyrender":
+            raise
+        logging.getLogger("torchbrdf").info("torchbrdf: rasterizing in software; %s", error)
+        return zbuffer.nearest(points, faces, size)
+
+
+def _by_opengl(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+    """With a UsageError if it cannot be done."""
+    most = max(len(faces), points.shape[1])
+    if most > opengl.LARGEST:
+        raise UsageError(
+            f"backend 'pyrender': expected at most {opengl.LARGEST} faces and vertices, found {most}; use software"
+        )
+    found = find_opengl()
+    if not found.renderer:
+        raise UsageError(f"backend 'pyrender': OpenGL does not work here: {found.reason}; {_INSTALL}, or use software")
+    try:
+        return opengl.nearest(points, faces, size)
+    except Exception as error:  # of many kinds, its own, the system's, and pyrender's
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UsageError(f"backend 'pyrender': OpenGL could not draw {size} x {size} pixels: {reason}") from None

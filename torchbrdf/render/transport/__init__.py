@@ -1,0 +1,1 @@
+"""From BRDF values to radiance: quadrature, the sparse product, its cache, shadows."""
