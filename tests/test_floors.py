@@ -20,7 +20,7 @@ FLOORS = {
     "report": 4,
     "fitting": 3,
     "render": 3,
-    "study": 3,
+    "study": 2,
     "perception": 3,
     "psychophysics": 3,
     "measured": 2,
@@ -32,6 +32,7 @@ FLOORS = {
     "errors": 0,
     "files": 0,
     "parallel": 0,
+    "color": 0,
     "assets": 0,  # data
 }
 # Who may see whom on one floor: a study works in a run folder; pairs, the registry and files raise errors.

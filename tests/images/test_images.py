@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, ShapeError, UsageError
-from torchbrdf.images import ToneMap, luminance, over, read_image, write_exr, write_png
+from torchbrdf.images import ToneMap, over, read_image, write_exr, write_png
 
 
 def rgbe(height: int, width: int, seed: int = 0) -> np.ndarray:

@@ -5,8 +5,9 @@ import math
 import pytest
 import torch
 
+from torchbrdf.color import luminance
 from torchbrdf.measured import Lookup, Measured, Source, contrast_gloss, distinctness_of_image, load
-from torchbrdf.measured.gloss import LARGEST, luminance
+from torchbrdf.measured.gloss import LARGEST
 
 
 class Known(Source):

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.images import luminance, read_image, write_exr
+from torchbrdf.images import read_image, write_exr
 from torchbrdf.render import Environment
 from torchbrdf.render.light.grove import make_grove
 from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render import Mesh, blob, sphere
 from torchbrdf.render.light.punctual import NEAREST, DirectionalLight, PointLight, parse_lamp
 from torchbrdf.render.raster.mesh import _BUMPS
@@ -176,7 +176,7 @@ def test_only_what_is_wanted_and_in_any_thread() -> None:
     assert not occluder.visible(point, direction, torch.zeros_like(wanted)).any()
     assert occluder.visible(point[:0], direction[:0]).shape == (0, 100)
     parts = [rows for _ in range(5) for rows in torch.arange(300).split(20)]
-    found = list(each(lambda rows: occluder.visible(point[rows], direction[rows]), parts))
+    found = list(thread_map(lambda rows: occluder.visible(point[rows], direction[rows]), parts))
     assert torch.equal(torch.cat(found), whole.repeat(5, 1))
 
 

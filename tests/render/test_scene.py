@@ -15,7 +15,7 @@ from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Lambert, Sum, Ward
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render import Environment, Mesh, Scene, View, blob, draw, render, sphere
 from torchbrdf.render.light.octahedral import texel_centers
 from torchbrdf.render.transport.quadrature import FAR, NEAR, Mirror
@@ -49,7 +49,7 @@ def brute_force(materials: Sequence[Callable[[Pairs], Tensor]], scene: Scene) ->
         return torch.stack([(material(pairs)[0] * weight).sum(0) for material in materials])
 
     pictures = torch.zeros(len(materials), scene.size**2, 3)
-    pictures[:, scene._pixels.index] = torch.stack(list(each(light, range(len(scene._pixels.index)))), 1)
+    pictures[:, scene._pixels.index] = torch.stack(list(thread_map(light, range(len(scene._pixels.index)))), 1)
     return pictures.unflatten(1, (scene.size, scene.size))
 
 

@@ -2,7 +2,7 @@
 
 from torchbrdf.images.differences import DIFFERENCES, Difference, PixelDifference
 from torchbrdf.images.files import read_image, write_exr, write_png
-from torchbrdf.images.tonemap import ToneMap, displayed, luminance, measured, over
+from torchbrdf.images.tonemap import ToneMap, displayed, measured, over
 
 __all__ = [
     "DIFFERENCES",
@@ -10,7 +10,6 @@ __all__ = [
     "PixelDifference",
     "ToneMap",
     "displayed",
-    "luminance",
     "measured",
     "over",
     "read_image",

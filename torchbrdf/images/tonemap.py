@@ -7,15 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance, safe_power
 from torchbrdf.errors import DataError, ShapeError, UsageError
 
 # Added to every luminance before its logarithm, as the implementation that the paper used does.
 _DELTA = 1e-5
-
-
-def luminance(image: Tensor) -> Tensor:
-    """Luminance of linear `(..., 3)` with the primaries of ITU-R BT.709, `(...)`."""
-    return image[..., 0] * 0.2126 + image[..., 1] * 0.7152 + image[..., 2] * 0.0722
 
 
 def over(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
@@ -39,9 +35,7 @@ def displayed(
     scaled = luminance(image)[..., None] * exposure
     # L_d / Y without a division by Y, so that black has a finite gradient.
     ratio = exposure * (1 + scaled / white**2) / (1 + scaled)
-    shown = (image * ratio).clamp_max(1)
-    positive = shown > 0
-    return torch.where(positive, torch.where(positive, shown, 1).pow(1 / gamma), 0)
+    return safe_power((image * ratio).clamp_max(1), 1 / gamma)
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,15 @@ import math
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 LIGHT = 30.0
 FRACTION = 0.3
 STEP = 0.02
 LARGEST = 119.0
 """Scanned from the mirror direction over the normal to 89 degrees on the light's side."""
-
-
-def luminance(values: Tensor) -> Tensor:
-    """Rec. 709 luminance of linear RGB, `(..., 3)` to `(...)`."""
-    return values @ values.new_tensor(LUMINANCE)
 
 
 def distinctness_of_image(measured: Measured) -> Tensor:

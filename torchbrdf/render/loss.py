@@ -6,8 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import UsageError
-from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, displayed, luminance, measured
+from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, displayed, measured
 from torchbrdf.losses import ObservedLoss, Problem
 from torchbrdf.losses.base import Reduction, safe_sqrt
 from torchbrdf.losses.observed import Parabola

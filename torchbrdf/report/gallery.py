@@ -13,7 +13,7 @@ from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
 from torchbrdf.images.differences.delta_e import lab
 from torchbrdf.lobes import model_of
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render import Scene, render
 from torchbrdf.report.study import Study, picture
 
@@ -64,7 +64,7 @@ class Gallery:
                 zip(study.materials, self._read(name, [picture(one) for one in study.materials]), strict=True)
             )
             compare = partial(self._compare, name, scene, references)
-            for record, found in zip(study.shown, each(compare, study.shown), strict=True):
+            for record, found in zip(study.shown, thread_map(compare, study.shown), strict=True):
                 record.setdefault("pictures", {})[name] = found
                 advance(1)
         study.save()

@@ -22,7 +22,7 @@ _SEEN = 2**23
 _MATERIALS = 8
 
 METHODS = {"WARD": "ngan_ward", "BLINN-PHONG": "ngan_blinnphong", "SGD": "bagher_sgd", "ABC": "low_lowmicrofacet_E2"}
-"""Methods of the opinions whose parameters are published, and the set of `perception.datasets.published` that has them."""
+"""Methods of the opinions whose parameters are published, and their sets in `perception.datasets.published`."""
 
 
 class Approximation(Protocol):

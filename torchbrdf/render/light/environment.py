@@ -10,9 +10,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.images import luminance, read_image
-from torchbrdf.parallel import each
+from torchbrdf.images import read_image
+from torchbrdf.parallel import thread_map
 from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square
 from torchbrdf.render.light.studio import make_studio
 
@@ -85,7 +86,7 @@ class Environment:
             samples = F.grid_sample(planes, place[None], mode="bilinear", padding_mode="border", align_corners=False)
             return F.avg_pool2d(samples, _SUPERSAMPLING)
 
-        strips = list(each(strip, step.split(_STRIP * _SUPERSAMPLING)))
+        strips = list(thread_map(strip, step.split(_STRIP * _SUPERSAMPLING)))
         return cls(torch.cat(strips, 2)[0].movedim(0, -1).contiguous(), rotation)
 
     def rotated(self, degrees: float) -> "Environment":

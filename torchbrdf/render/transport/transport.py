@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render.transport.quadrature import Part
 
 # Columns of a product at a time: more of them no longer fit the processor's cache.
@@ -207,7 +207,7 @@ def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable
         own = [np.bincount(inverse, counted), *(np.bincount(inverse, counted * one) for one in place[:, used].numpy())]
         return parts.index(part), found, own
 
-    for k, there, own in each(gather, jobs):
+    for k, there, own in thread_map(gather, jobs):
         sums[k][:, there] += np.stack(own)
     columns, known, first = [], [], 0
     for part, total in zip(parts, sums, strict=True):
@@ -233,7 +233,7 @@ def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable
         column = columns[parts.index(part)][bins[used]]
         return Block(rows, start, column, weight.reshape(-1, 3)[used].T.contiguous())
 
-    return Pairs(**whole), lambda: each(block, jobs)
+    return Pairs(**whole), lambda: thread_map(block, jobs)
 
 
 def gathered(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Part]) -> list[Block]:
