@@ -33,10 +33,17 @@ FLOORS = {
     "files": 0,
     "parallel": 0,
     "color": 0,
-    "assets": 0,  # data
+    "bootstrap": 0,
+    "assets": 4,  # data, and what made them
 }
 # Who may see whom on one floor: a study works in a run folder; pairs, the registry and files raise errors.
-NEIGHBOURS = {("report", "recipe"), ("pairs", "errors"), ("registry", "errors"), ("files", "errors")}
+NEIGHBOURS = {
+    ("report", "recipe"),
+    ("pairs", "errors"),
+    ("registry", "errors"),
+    ("files", "errors"),
+    ("bootstrap", "errors"),
+}
 
 
 def imported(tree: ast.Module, package: str) -> Iterator[tuple[int, str]]:

@@ -19,7 +19,7 @@ from torchbrdf.pairs import Pairs
 LIGHT = 30.0
 FRACTION = 0.3
 STEP = 0.02
-LARGEST = 119.0
+LARGEST_ANGLE = 119.0
 """Scanned from the mirror direction over the normal to 89 degrees on the light's side."""
 
 
@@ -30,7 +30,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
     between steps of 0.02 degrees; 119 where it never falls so far, nan where there is no light to begin with. Small
     for sharp lobes.
     """
-    off = torch.arange(0, LARGEST + STEP / 2, STEP, dtype=torch.float64)
+    off = torch.arange(0, LARGEST_ANGLE + STEP / 2, STEP, dtype=torch.float64)
     along = _luminance(measured, torch.full_like(off, LIGHT), off - LIGHT)
     start = along[:, 0]
     ratio = along / start[:, None]
@@ -38,7 +38,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
     after = below.to(torch.int8).argmax(-1).clamp_min(1)[:, None]
     high, low = ratio.gather(-1, after - 1), ratio.gather(-1, after)
     angle = off[after] - STEP * (FRACTION - low) / (high - low)
-    angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST)[:, 0]
+    angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST_ANGLE)[:, 0]
     return torch.where(start > 0, angle, torch.nan)
 
 

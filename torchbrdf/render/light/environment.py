@@ -26,7 +26,7 @@ _WIDEST = 4 * RESOLUTION
 
 
 @dataclass(frozen=True)
-class Lights:
+class EnvironmentSamples:
     """Fixed directional lights: unit `direction` `(L, 3)`, and `flux` `(L, 3)`, radiance times solid angle."""
 
     direction: Tensor
@@ -55,7 +55,7 @@ class Environment:
 
     @classmethod
     def default(cls, rotation: float = 0.0) -> "Environment":
-        """The grove that comes with the package; `torchbrdf.render.light.grove` made it."""
+        """The grove that comes with the package; `torchbrdf.assets.make_grove` made it."""
         with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "grove.exr") as path:
             return cls.from_file(path, rotation)
 
@@ -88,10 +88,6 @@ class Environment:
 
         strips = list(thread_map(strip, step.split(_STRIP * _SUPERSAMPLING)))
         return cls(torch.cat(strips, 2)[0].movedim(0, -1).contiguous(), rotation)
-
-    def rotated(self, degrees: float) -> "Environment":
-        """The same surroundings, turned by so much more."""
-        return Environment(self.texels, self.rotation + degrees)
 
     @cached_property
     def _pyramid(self) -> list[Tensor]:
@@ -145,7 +141,7 @@ class Environment:
         found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
         return found.reshape(*directions.shape[:-1], 3)
 
-    def lights(self, count: int) -> Lights:
+    def light_samples(self, count: int) -> EnvironmentSamples:
         """At most `count` lights that stand for the whole environment with the same flux.
 
         The map is a quadtree. Where the luminance-weighted variance of direction times flux, the leading term of what
@@ -178,7 +174,7 @@ class Environment:
             exists = divided.repeat_interleave(2, 0).repeat_interleave(2, 1)
         flux, _, moment = torch.cat(leaves).split([3, 1, 3], -1)
         direction = self._turned(F.normalize(moment, dim=-1), self.rotation)
-        return Lights(direction.to(torch.float32), flux.to(torch.float32))
+        return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
 
 
 def _beside(parts: list[Tensor], dtype: torch.dtype) -> Tensor:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,19 +13,19 @@ from torchbrdf.errors import DataError, ShapeError, UsageError
 _DELTA = 1e-5
 
 
-def over(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
+def composite(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
     """Display values `(..., H, W, 3)` where `coverage` `(H, W)` is 1, a grey `background` where it is 0."""
     return torch.lerp(torch.full_like(display, background), display, coverage[..., None].to(display))
 
 
-def measured(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
+def log_average_and_white(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
     """The log-average and the white of luminances `(..., n)`, `(...)` each, float64."""
     light = light.to(torch.float64).clamp_min(0)
     log_average = (light + _DELTA).log().mean(-1).exp()
     return log_average, key * light.amax(-1) / log_average
 
 
-def displayed(
+def tonemap(
     image: Tensor, log_average: Tensor | float, white: Tensor | float, key: float = 0.18, gamma: float = 2.2
 ) -> Tensor:
     """What `ToneMap` does, also with numbers of their own for each of several pictures, `(..., 1)`."""
@@ -78,21 +77,13 @@ class ToneMap:
         largest = float(light.max())
         if not (math.isfinite(largest) and largest > 0 and bool(light.isfinite().all())):
             raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
-        log_average, white = measured(light.flatten(), key)
+        log_average, white = log_average_and_white(light.flatten(), key)
         return cls(log_average.item(), white.item(), key, gamma, phi)
 
     def __call__(self, image: Tensor) -> Tensor:
         """Display values in [0, 1] of linear `(..., 3)`; negative values count as 0, with gradient 0."""
-        return displayed(image, self.log_average, self.white, self.key, self.gamma)
+        return tonemap(image, self.log_average, self.white, self.key, self.gamma)
 
     def to_dict(self) -> dict[str, float]:
         """The numbers by name, for a record."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, numbers: dict[str, Any]) -> "ToneMap":
-        """From what `to_dict` gave."""
-        try:
-            return cls(**numbers)
-        except TypeError:
-            raise DataError(f"ToneMap: expected {', '.join(cls.__annotations__)}; found {', '.join(numbers)}") from None
