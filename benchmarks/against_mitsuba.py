@@ -23,7 +23,7 @@ from torchbrdf.lobes import CookTorrance, Lambert, Sum
 from torchbrdf.measured import load
 from torchbrdf.measured.merl import write_merl
 from torchbrdf.pairs import Pairs
-from torchbrdf.render import Environment, Scene, View, blob, render, sphere
+from torchbrdf.render import Camera, Environment, Scene, blob, render, sphere
 
 
 def write_plastic(path):
@@ -44,7 +44,7 @@ def main(size=256, samples=576):
     """Print the table."""
     if obstacle():
         sys.exit(obstacle())
-    environment, view = Environment.default(), View(20.0)
+    environment, view = Environment.default(), Camera(20.0)
     print(f"{'':24s}{'dB':>8s}{'noise':>8s}{'ratio':>8s}{'ours':>10s}{'Mitsuba':>10s}")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plastic.binary"

@@ -14,7 +14,7 @@ from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import LOSSES, CosineRMSLoss
 from torchbrdf.measured import load_all
-from torchbrdf.render import Environment, RenderedLoss, Scene, View, blob, render, sphere
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob, render, sphere
 from torchbrdf.render.raster.raster import rasterize
 
 ANALYTIC = ("rms", "cosine", "cuberoot", "compressed", "log")
@@ -43,7 +43,7 @@ def steps(measured, scene):
     for name in ("log_hdr", "psnr", "delta_e", "delta_e2000", "ssim", "flip"):
         loss = RenderedLoss(scene, name)
         took = step(loss, loss.problem(measured))
-        print(f"step, rendered {name:12s} {scene.size} x {scene.size}, {scene.lights} lights"
+        print(f"step, rendered {name:12s} {scene.size} x {scene.size}, {scene.light_samples} lights"
               f"{1e3 * took:18.1f} ms {took / unit:7.2f}")  # fmt: skip
 
 
@@ -63,8 +63,8 @@ def products(scene):
 
 def fits(materials, scene):
     """Two-lobe Ward fits under every loss, judged by the colour difference in scenes seen and unseen."""
-    studio = Scene(sphere(), View(140, elevation=20), Environment.find("studio"), size=128)
-    places = {"unseen": studio, "training": Scene(blob(), View(), Environment.default(), size=128)}
+    studio = Scene(sphere(), Camera(140, elevation=20), Environment.find("studio"), size=128)
+    places = {"unseen": studio, "training": Scene(blob(), Camera(), Environment.default(), size=128)}
     measure, judges, best = DIFFERENCES["delta_e"](), {}, {}
     for where, place in places.items():
         references = render(materials, place)
@@ -97,9 +97,9 @@ def fits(materials, scene):
 def pictures(measured):
     """A G-buffer and a final picture."""
     mesh = blob()
-    print(f"G-buffer, 400 x 400, software: {seconds(lambda: rasterize(mesh, View(), 400)):.3f} s")
+    print(f"G-buffer, 400 x 400, software: {seconds(lambda: rasterize(mesh, Camera(), 400)):.3f} s")
     began = time.perf_counter()
-    scene = Scene(mesh, View(), size=400, lights=2048)
+    scene = Scene(mesh, Camera(), size=400, light_samples=2048)
     made = time.perf_counter() - began
     took = seconds(lambda: render(measured, scene), 3)
     print(f"a table, 400 x 400, 2048 lights: scene {made:.2f} s, picture {took:.2f} s")
@@ -109,7 +109,7 @@ def main(folder):
     """Print all figures."""
     (materials,) = load_all(folder)
     first = materials.batch([0])
-    scene = Scene(blob(), View(), Environment.default(), size=128, lights=2048)
+    scene = Scene(blob(), Camera(), Environment.default(), size=128, light_samples=2048)
     products(scene)
     steps(first, scene)
     pictures(first)

@@ -24,7 +24,7 @@ from torchbrdf.fitting.variables import limits
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import Problem
 from torchbrdf.measured import load
-from torchbrdf.parallel import each_apart
+from torchbrdf.parallel import process_map
 
 STARTS, FINISHED, SAMPLES, SEED = 64, 3, 20_000, 0
 
@@ -66,7 +66,7 @@ def main(folder, path="reference.json"):
             if all(key in errors for key in keys):
                 continue
             staged = fit(make_model(name, 2), measured, loss, strategy="staged").error.tolist()
-            random = list(each_apart(lambda k, n=name, ls=loss: best_of(low, n, ls, k), range(len(low))))
+            random = list(process_map(lambda k, n=name, ls=loss: best_of(low, n, ls, k), range(len(low))))
             for key, one, other in zip(keys, staged, random, strict=True):
                 errors[key] = {"staged": float(f"{one:.5g}"), "random": float(f"{other:.5g}")}
             about = f"{STARTS} starts, best {FINISHED} finished, {SAMPLES} pairs, seed {SEED}"

@@ -8,7 +8,7 @@ import time
 
 from torchbrdf.lobes import Lambert, make_model
 from torchbrdf.measured import load, standins
-from torchbrdf.render import Environment, Scene, View, blob, render
+from torchbrdf.render import Camera, Environment, Scene, blob, render
 
 
 def timed(label, work, unit=None):
@@ -25,7 +25,7 @@ def main(files):
     """Print the table."""
     environment = Environment.default()
     made = {}
-    timed("scene, 400 x 400", lambda: made.update(scene=Scene(blob(), View(), environment, size=400)))
+    timed("scene, 400 x 400", lambda: made.update(scene=Scene(blob(), Camera(), environment, size=400)))
     scene = made["scene"]
     unit = timed("Lambert (the unit of the ratios)", lambda: render(Lambert(), scene))
     timed("Lambert + 2 Ward", lambda: render(make_model("ward", 2), scene), unit)

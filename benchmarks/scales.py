@@ -9,7 +9,7 @@ from common import Timer
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from torchbrdf.psychophysics import PRIOR, Comparisons, bootstrap, most_likely, scale, simulated_wins
+from torchbrdf.psychophysics import PRIOR, Comparisons, bootstrap, map_estimate, scale, simulated_wins
 
 MATERIALS, STIMULI, OBSERVERS, DRAWS, LOOPED = 10, 9, 15, 1000, 200
 
@@ -44,7 +44,7 @@ def main():
     problems = wins[drawn].sum(1).reshape(-1, STIMULI, STIMULI)
     with Timer() as scipys:
         found = np.stack([by_scipy(one.numpy(), sigma) for one in problems])
-    apart = np.abs(found - most_likely(problems)[0].numpy()).max()
+    apart = np.abs(found - map_estimate(problems)[0].numpy()).max()
     each, other = ours.clock / (DRAWS * MATERIALS), scipys.clock / len(problems)
     print(f"{DRAWS * MATERIALS} scales: {ours.clock:.2f} s, {each * 1e6:.0f} us each")
     print(f"scipy's BFGS, exact gradient: {other * 1e6:.0f} us each, {other / each:.0f} times; {apart:.1g} apart")

@@ -15,7 +15,7 @@ from common import MODELS, Timer, losses
 from torchbrdf.fitting import Status, fit, score, stratified
 from torchbrdf.lobes import make_model
 from torchbrdf.measured import Measured
-from torchbrdf.measured.merl import native
+from torchbrdf.measured.merl import bin_centers
 
 PAIRS, NOISE = 4_000, 0.01
 
@@ -39,7 +39,7 @@ def truth(name, materials, generator):
 
 def main(materials):
     """Print the table."""
-    every = native().to(dtype=torch.float32)
+    every = bin_centers().to(dtype=torch.float32)
     low = (every.cos_i >= 0.1736) & (every.cos_o >= 0.1736)
     inside = low[0].nonzero()[:, 0]
     pairs = every.select(samples=inside[stratified(len(inside), PAIRS, 0)])

@@ -8,7 +8,7 @@ from typing import ClassVar
 from torchbrdf.errors import UsageError
 from torchbrdf.losses import LOSSES
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
-from torchbrdf.render import Environment, Scene, View, find_mesh
+from torchbrdf.render import Camera, Environment, Scene, find_mesh
 from torchbrdf.report import STANDINS, Study, ask_simulated, gather, write_report
 from torchbrdf.study.simulation import NOISE
 
@@ -62,7 +62,7 @@ class Fores2012(Recipe):
         """Fits, pictures, observers, report."""
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
         size = min(self.size, 96) if self.quick else self.size
-        scene, turned = (Scene(mesh, View(turn), environment, size=size) for turn in (0.0, self.turn))
+        scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
         groups, bad = gather(self.materials, folder, self.quick)
         samples = min(self.samples or 4000, 4000) if self.quick else self.samples
         study = Study(

@@ -15,22 +15,22 @@ from torchbrdf.files import replacing, write_text
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.perception import (
     FACTORS,
+    BenchmarkData,
     Distances,
-    Seen,
-    Subjects,
+    EvaluatedBrdfs,
     Table,
-    gather,
+    evaluate_brdfs,
+    read_benchmark_data,
     read_lagunas,
-    read_subjects,
     score_opinions,
     score_triplets,
     statistics_of,
     tabulate,
     uniform_pairs,
 )
-from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
-from torchbrdf.render import Environment, RenderedLoss, Scene, View, sphere
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, sphere
 from torchbrdf.report import HumanPage, write_human_report
 
 LAGUNAS = "lagunas2019_merl_distances.mat"
@@ -76,7 +76,7 @@ class HumanBenchmark(Recipe):
         """Distances of every loss, statistics, report."""
         kinds = {name: LOSSES[name] for name in self.losses or LOSSES}
         replicates = min(self.replicates, 200) if self.quick else self.replicates
-        subjects = made_up(seed=self.seed) if self.quick else self._subjects()
+        subjects = synthetic_benchmark(seed=self.seed) if self.quick else self._subjects()
         pairs = uniform_pairs(500 if self.quick else self.samples, self.max_theta, self.seed)
         scored: dict[str, Distances] = {}
         left_out: list[str] = []
@@ -86,10 +86,10 @@ class HumanBenchmark(Recipe):
                 losses[name] = kind(reduction="none")
             except TorchbrdfError as error:
                 _leave_out(folder, left_out, name, error)
-        self._score(folder, subjects, losses, lambda: gather(subjects, pairs), scored, left_out)
+        self._score(folder, subjects, losses, lambda: evaluate_brdfs(subjects, pairs), scored, left_out)
         if self.images:
             size = min(self.size, 24) if self.quick else self.size
-            scene = Scene(sphere(), View(), Environment.default(), size=size, cache=folder.path / "cache")
+            scene = Scene(sphere(), Camera(), Environment.default(), size=size, cache=folder.path / "cache")
             for name in self.differences:
                 loss = RenderedLoss(scene, name, reduction="none")
                 see = _watcher(subjects, scene, loss)
@@ -113,15 +113,15 @@ class HumanBenchmark(Recipe):
         )
         return write_human_report(folder.path, table, subjects, said)
 
-    def _subjects(self) -> Subjects:
-        return read_subjects(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
+    def _subjects(self) -> BenchmarkData:
+        return read_benchmark_data(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
 
     def _score(
         self,
         folder: RunFolder,
-        subjects: Subjects,
+        subjects: BenchmarkData,
         losses: dict[str, Loss],
-        see: Callable[[], Seen],
+        see: Callable[[], EvaluatedBrdfs],
         scored: dict[str, Distances],
         left_out: list[str],
     ) -> None:
@@ -155,8 +155,8 @@ def _leave_out(folder: RunFolder, left_out: list[str], name: str, error: Torchbr
     folder.warn(f"{name} is left out: {error}")
 
 
-def _watcher(subjects: Subjects, scene: Scene, loss: RenderedLoss) -> Callable[[], Seen]:
-    return lambda: gather(subjects, scene.pairs.to(dtype=torch.float32), loss)
+def _watcher(subjects: BenchmarkData, scene: Scene, loss: RenderedLoss) -> Callable[[], EvaluatedBrdfs]:
+    return lambda: evaluate_brdfs(subjects, scene.pairs.to(dtype=torch.float32), loss)
 
 
 def _read(path: Path, rows: int) -> Distances | None:

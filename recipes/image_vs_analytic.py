@@ -7,7 +7,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
-from torchbrdf.render import Environment, RenderedLoss, Scene, View, find_mesh
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh
 from torchbrdf.report import STANDINS, Gallery, Study, gather, write_images_report
 
 TRAINING, UNSEEN = "training", "unseen"
@@ -67,9 +67,9 @@ class ImageVsAnalytic(Recipe):
             models, rendered = models[:1], rendered[-1:]
         groups, bad = gather(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)
-        turned = View(self.unseen_turn, elevation=self.unseen_elevation)
+        turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
-        scenes = {TRAINING: Scene(mesh, View(), light, size=size), UNSEEN: Scene(*other, size=size)}
+        scenes = {TRAINING: Scene(mesh, Camera(), light, size=size), UNSEEN: Scene(*other, size=size)}
         losses: dict[str, Loss] = {name: LOSSES[name]() for name in self.losses}
         study = Study(
             folder=folder,
@@ -83,7 +83,7 @@ class ImageVsAnalytic(Recipe):
             samples=samples,
             seed=self.seed,
         )
-        small = Scene(mesh, View(), light, size=train, lights=lights, cache=folder.path / "cache")
+        small = Scene(mesh, Camera(), light, size=train, light_samples=lights, cache=folder.path / "cache")
         gallery = Gallery(study, scenes, self.differences)
         gallery.draw_references()
         for name in rendered:

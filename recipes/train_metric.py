@@ -18,25 +18,30 @@ from torchbrdf.losses import LOSSES
 from torchbrdf.losses.learned import form
 from torchbrdf.measured import load_all, standins
 from torchbrdf.perception import (
+    BenchmarkData,
+    EvaluatedBrdfs,
     Opinions,
-    Seen,
-    Subjects,
-    gather,
-    read_subjects,
+    evaluate_brdfs,
+    read_benchmark_data,
     uniform_pairs,
 )
-from torchbrdf.perception.datasets.synthetic import MADE_UP, made_up
+from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
 from torchbrdf.perception.learning.training import (
-    Course,
+    History,
     Split,
+    baseline_distances,
     best_iteration,
     finished,
-    formulas,
     held_out,
     splits,
     train,
 )
-from torchbrdf.perception.learning.training_set import Lesson, joined, lesson_of, lesson_of_choices
+from torchbrdf.perception.learning.training_set import (
+    TrainingSet,
+    make_training_set,
+    merge_training_sets,
+    training_set_from_choices,
+)
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 from torchbrdf.report import STANDINS, MetricPage, write_metric_report
 from torchbrdf.study import MEASURED, read_answers, simulated
@@ -89,17 +94,17 @@ class TrainMetric(Recipe):
         lessons, others, facts = [], [], []
         losses = {name: kind(reduction="none") for name, kind in LOSSES.items() if kind.subsets and name != "learned"}
         if self.human or (self.quick and not self.study):
-            subjects = self._subjects() if self.human else made_up(seed=self.seed)
-            seen = gather(subjects, pairs)
-            lessons.append(lesson_of(subjects, seen, self.leave_out))
-            others.append(formulas(lessons[-1], seen, losses))
+            subjects = self._subjects() if self.human else synthetic_benchmark(seed=self.seed)
+            seen = evaluate_brdfs(subjects, pairs)
+            lessons.append(make_training_set(subjects, seen, self.leave_out))
+            others.append(baseline_distances(lessons[-1], seen, losses))
             facts.append(_published_facts(subjects, lessons[-1], bool(self.human)))
         if self.study:
             lesson, seen, fact = _studied(Path(self.study), Path(self.answers), pairs)
             lessons.append(lesson)
-            others.append(formulas(lesson, seen, losses))
+            others.append(baseline_distances(lesson, seen, losses))
             facts.append(fact)
-        lesson = joined(lessons)
+        lesson = merge_training_sets(lessons)
         folder.log(f"{len(lesson.terms)} distances of {lesson.terms.shape[1]} terms, {len(lesson.names)} materials")
         if len(lesson.names) < 4:
             raise DataError(f"{self.name}: expected answers about 4 materials at least, found {len(lesson.names)}")
@@ -128,7 +133,8 @@ class TrainMetric(Recipe):
             "date": time.strftime("%Y-%m-%d"),
             "held_out": {name: [round(x, 4) for x in rows["learned"]["share"]] for name, rows in table.items()},
             "seen": {
-                name: round(float(part.share(part.right(own[None]))), 4) for name, part in lesson.statistics.items()
+                name: round(float(part.agreement_rate(part.concordant(own[None]))), 4)
+                for name, part in lesson.statistics.items()
             },
         }
         metric = form() | {"weights": finished(lesson, whole), "provenance": provenance}
@@ -138,24 +144,24 @@ class TrainMetric(Recipe):
         curves = torch.stack([courses[k].curve for k in plain])
         return write_metric_report(folder.path, MetricPage(table, methods, metric, curves, best, "; ".join(marks)))
 
-    def _subjects(self) -> Subjects:
-        return read_subjects(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
+    def _subjects(self) -> BenchmarkData:
+        return read_benchmark_data(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
 
 
-def _published_facts(subjects: Subjects, lesson: Lesson, published: bool) -> dict[str, Any]:
+def _published_facts(subjects: BenchmarkData, lesson: TrainingSet, published: bool) -> dict[str, Any]:
     opinions: Opinions = subjects.opinions
     return {
-        "answers": PUBLISHED if published else MADE_UP,
+        "answers": PUBLISHED if published else SYNTHETIC,
         "tables": "stand-ins for measured tables" if subjects.stand_in else "measured",
         "questions": len(subjects.triplets),
         "votes": int(subjects.triplets.votes.sum()),
         "opinions": sum(method in lesson.methods for method in opinions.methods),
         "methods": lesson.methods,
-        "mark": "" if published else MADE_UP,
+        "mark": "" if published else SYNTHETIC,
     }
 
 
-def _studied(run: Path, answers: Path, pairs: Any) -> tuple[Lesson, Seen, dict[str, Any]]:
+def _studied(run: Path, answers: Path, pairs: Any) -> tuple[TrainingSet, EvaluatedBrdfs, dict[str, Any]]:
     """What observers chose about the fits of a run."""
     given = [answer for answer in read_answers(answers) if answer.kind == "trial"]
     records: dict[tuple[str, str], dict[str, Any]] = {}
@@ -185,14 +191,14 @@ def _studied(run: Path, answers: Path, pairs: Any) -> tuple[Lesson, Seen, dict[s
         else:
             raise DataError(f"{answers}: {material}: expected a fit of {run / 'fits.json'}, found {stimulus!r}")
     target = torch.tensor([names.index(material) for material, _ in stimuli])
-    seen = Seen(materials, torch.cat(values), target, pairs)
+    seen = EvaluatedBrdfs(materials, torch.cat(values), target, pairs)
     place = {key: k for k, key in enumerate(stimuli)}
     count: Counter[tuple[int, int]] = Counter(
         (place[answer.material, answer.chosen], place[answer.material, answer.rejected]) for answer in given
     )
     asked = sorted({(min(key), max(key)) for key in count})
     votes = torch.tensor([[count[a, b], count[b, a]] for a, b in asked])
-    lesson = lesson_of_choices(names, [name for _, name in stimuli], seen, torch.tensor(asked), votes)
+    lesson = training_set_from_choices(names, [name for _, name in stimuli], seen, torch.tensor(asked), votes)
     nobody = simulated(given)
     return (
         lesson,
@@ -206,13 +212,13 @@ def _studied(run: Path, answers: Path, pairs: Any) -> tuple[Lesson, Seen, dict[s
     )
 
 
-def _trained(folder: RunFolder, lesson: Lesson, split: Split, iterations: int, advance: Any) -> Course:
+def _trained(folder: RunFolder, lesson: TrainingSet, split: Split, iterations: int, advance: Any) -> History:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
     if path.is_file():
         try:
             with np.load(path) as parts:
-                course = Course(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
+                course = History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
         except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             raise DataError(f"{path}: expected a finished training; remove it to train again") from None
     else:

@@ -1,16 +1,16 @@
-"""Two cores for many small steps."""
+"""Map a function over items in threads or in processes, each on one core."""
 
 import ctypes
+import logging
 import multiprocessing
-import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import cache
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import torch
 
@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """`function` of every item, in their order, without gradients, on as many threads as torch may use.
 
     Each thread runs its own operations alone. torch would rather split every single operation over all threads and
@@ -38,37 +38,41 @@ def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[
         torch.set_num_threads(threads)  # the workers changed it for threads that start later
 
 
-def each_apart(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-    """As `each`, in processes where that is possible: threads of one process wait for Python's lock at every operation.
+def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """As `thread_map`, in processes where that is possible: threads of one process wait for Python's lock.
 
     For seconds of work on the CPU, of which a small result comes back (it is pickled). The processes are forks, as
-    those of torch's DataLoader are, so that nothing has to be sent to them; without fork, with a GPU in use or with
-    one item, it is `each`.
+    those of torch's DataLoader are, so that nothing has to be sent to them. What is raised in one is raised here, with
+    its traceback there as the cause. Without fork, with CUDA in use, which a fork cannot share, or with one item or
+    one thread, it is `thread_map`; with CUDA the log says so.
+
+    Raises:
+        RuntimeError: A process ended without an answer, as it does when memory runs out.
     """
     count = min(torch.get_num_threads(), len(items))
-    if count < 2 or not sys.platform.startswith("linux") or torch.cuda.is_initialized():
-        yield from each(function, items)
+    if count < 2 or not sys.platform.startswith("linux") or _is_cuda_in_use():
+        yield from thread_map(function, items)
         return
     _release_buffers()()
     context = multiprocessing.get_context("fork")
-    idle: list[Connection] = []
-    workers = []
+    pool = ProcessPoolExecutor(count, context, initializer=_start, initargs=(function, items))
     try:
-        for _ in range(count):
-            here, there = context.Pipe()
-            worker = context.Process(target=_serve, args=(function, items, there), daemon=True)
-            with warnings.catch_warnings():
-                # Python 3.12 warns of threads at a fork; the child uses nothing that they may hold.
-                warnings.simplefilter("ignore", DeprecationWarning)
-                worker.start()
-            there.close()
-            workers.append(worker)
-            idle.append(here)
-        yield from _share_out(idle, len(items))
+        with warnings.catch_warnings():
+            # Python 3.12 warns of threads at a fork; the child uses nothing that they may hold.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            answers = pool.map(_run, range(len(items)))
+        yield from answers
+    except BrokenProcessPool:
+        raise RuntimeError("a worker process ended without an answer: out of memory?") from None
     finally:
-        for worker in workers:
-            worker.terminate()
-            worker.join()
+        pool.shutdown(cancel_futures=True)
+
+
+def _is_cuda_in_use() -> bool:
+    if not torch.cuda.is_initialized():
+        return False
+    logging.getLogger("torchbrdf").info("torchbrdf: CUDA is in use, which processes cannot share; working in threads")
+    return True
 
 
 @cache
@@ -83,42 +87,17 @@ def _release_buffers() -> Callable[[], object]:
     return int  # no MKL, nothing to do
 
 
-def _serve(function: Callable[[Item], Result], items: Sequence[Item], parent: Connection) -> None:
-    """In a worker process: do the items that the parent names, until it is gone."""
+# In a worker process: the function and the items, which came with the fork and so need not be picklable.
+_work: tuple[Callable[[Any], Any], Sequence[Any]]
+
+
+def _start(function: Callable[[Item], Result], items: Sequence[Item]) -> None:
+    global _work
+    _work = function, items
     torch.set_num_threads(1)
-    while True:
-        try:
-            index = parent.recv()
-        except EOFError:
-            return
-        try:
-            with torch.no_grad():
-                answer = pickle.dumps((True, function(items[index])))
-        except Exception as error:
-            answer = pickle.dumps((False, error))
-        parent.send_bytes(answer)
+    torch.set_grad_enabled(False)
 
 
-def _share_out(idle: list[Connection], count: int) -> Iterator[Any]:
-    """Give each idle worker the next item, and yield the answers in the items' order."""
-    busy: dict[Connection, int] = {}
-    answers: dict[int, Any] = {}
-    given = yielded = 0
-    while yielded < count:
-        while idle and given < count:
-            worker = idle.pop(0)
-            worker.send(given)
-            busy[worker] = given
-            given += 1
-        for worker in cast(list[Connection], wait(list(busy))):
-            try:
-                fine, answer = pickle.loads(worker.recv_bytes())
-            except EOFError:
-                raise RuntimeError("a worker process ended without an answer: out of memory?") from None
-            if not fine:
-                raise answer
-            answers[busy.pop(worker)] = answer
-            idle.append(worker)
-        while yielded in answers:
-            yield answers.pop(yielded)
-            yielded += 1
+def _run(index: int) -> Any:
+    function, items = _work
+    return function(items[index])

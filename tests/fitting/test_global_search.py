@@ -20,7 +20,7 @@ from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_m
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each, each_apart
+from torchbrdf.parallel import process_map, thread_map
 
 KINDS = ("ward", "cook_torrance", "ashikhmin_shirley")
 SHAPE = {"ward": ("roughness", 0.03, 0.3), "cook_torrance": ("roughness", 0.05, 0.4),
@@ -227,7 +227,7 @@ def two_threads():
     torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("run", [each, each_apart])
+@pytest.mark.parametrize("run", [thread_map, process_map])
 def test_workers_keep_the_order_and_leave_the_threads(run, two_threads):
     def work(k):
         assert not torch.is_grad_enabled() and torch.get_num_threads() == 1
@@ -236,7 +236,7 @@ def test_workers_keep_the_order_and_leave_the_threads(run, two_threads):
     found = list(run(work, list(range(7))))
     assert [int(value[0]) for value, _ in found] == list(range(7))
     assert torch.get_num_threads() == 2
-    assert (os.getpid() in {process for _, process in found}) == (run is each)
+    assert (os.getpid() in {process for _, process in found}) == (run is thread_map)
 
 
 def test_what_a_worker_raises_is_raised(two_threads):
@@ -246,27 +246,27 @@ def test_what_a_worker_raises_is_raised(two_threads):
         return k
 
     with pytest.raises(DataError, match="material 1 is odd"):
-        list(each_apart(work, [0, 1, 2]))
+        list(process_map(work, [0, 1, 2]))
 
 
 def test_a_worker_that_dies_is_said(two_threads):
     with pytest.raises(RuntimeError, match="ended without an answer"):
-        list(each_apart(lambda k: os._exit(3), [0, 1, 2]))
+        list(process_map(lambda k: os._exit(3), [0, 1, 2]))
 
 
 def test_processes_do_not_wait_for_locks_of_threads_that_are_gone():
     """Products in threads, then in forks: MKL's allocator made this hang within a few rounds."""
     code = """if True:
         import torch
-        from torchbrdf.parallel import each, each_apart
+        from torchbrdf.parallel import process_map, thread_map
 
         torch.set_num_threads(2)
         a, b = torch.rand(4, 3, 33, 4000, dtype=torch.float64), torch.rand(1, 4000, 33, dtype=torch.float64)
         work = lambda k: sum((a @ b).sum().item() for _ in range(4))
         for _ in range(6):
             torch.rand(3, 500, 500, requires_grad=True).square().sum().backward()
-            list(each(work, [0, 1]))
-            list(each_apart(work, [0, 1, 2, 3]))
+            list(thread_map(work, [0, 1]))
+            list(process_map(work, [0, 1, 2, 3]))
     """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

@@ -22,8 +22,8 @@ from torch import Tensor
 from helpers.measured_files import BINS, SCALE, merl_above
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.pairs import Pairs
-from torchbrdf.render import Environment, Mesh, View
-from torchbrdf.render.light.punctual import Lamp, PointLight
+from torchbrdf.render import Camera, Environment, Mesh
+from torchbrdf.render.light.punctual import PointLight, PunctualLight
 
 VARIANT = "llvm_ad_rgb"
 # Mitsuba's Dr.Jit ends the process with an older one.
@@ -119,18 +119,23 @@ class Studio:
     """
 
     def __init__(
-        self, mesh: Mesh, view: View, light: Environment | Sequence[Lamp], where: Tensor, centers: bool = True
+        self,
+        mesh: Mesh,
+        camera: Camera,
+        light: Environment | Sequence[PunctualLight],
+        where: Tensor,
+        centers: bool = True,
     ) -> None:
         self.mesh, self.where, self.centers = mesh, where, centers
         mi = mitsuba()
-        eye, axes = view.camera(mesh)
+        eye, axes = camera.pose(mesh)
         sensor = {
             "type": "perspective",
-            "fov": view.field_of_view,
+            "fov": camera.field_of_view,
             "to_world": mi.ScalarTransform4f().look_at(origin=list(eye), target=list(eye - axes[2]), up=list(axes[1])),
             "film": {"type": "hdrfilm", "width": len(where), "height": len(where)},
         }
-        lights = [_surroundings(mi, light)] if isinstance(light, Environment) else [_lamp(lamp) for lamp in light]
+        lights = [_surroundings(mi, light)] if isinstance(light, Environment) else [_punctual(lamp) for lamp in light]
         self._sensor = mi.load_dict(sensor)
         self._integrator = mi.load_dict({"type": "direct", "hide_emitters": True})
         self._lights = {f"light{k}": mi.load_dict(one) for k, one in enumerate(lights)}
@@ -184,7 +189,7 @@ def _surroundings(mi: ModuleType, environment: Environment) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(picture.numpy()), "to_world": turn}
 
 
-def _lamp(lamp: Lamp) -> dict[str, Any]:
+def _punctual(lamp: PunctualLight) -> dict[str, Any]:
     if isinstance(lamp, PointLight):
         return {"type": "point", "position": list(lamp.position), "intensity": _rgb(lamp.intensity)}
     # Its direction is that in which the light goes.

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.lobes import CookTorrance, Lambert, Lobe, Ward
-from torchbrdf.measured.measured import Interpolation, Lookup, Source
+from torchbrdf.measured.measured import BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
 
 MATERIALS = {
@@ -20,7 +20,7 @@ MATERIALS = {
 }
 
 
-class Painted(Source):
+class Painted(BrdfFormat):
     """Materials that are given by lobes, where a scene asks for measured values."""
 
     format = "painted"

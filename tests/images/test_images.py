@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, ShapeError, UsageError
-from torchbrdf.images import ToneMap, luminance, over, read_image, write_exr, write_png
+from torchbrdf.images import ToneMap, composite, read_image, write_exr, write_png
 
 
 def rgbe(height: int, width: int, seed: int = 0) -> np.ndarray:
@@ -199,12 +200,12 @@ def test_writing_where_a_folder_is(tmp_path: Path, write) -> None:
 # Tone map
 
 
-def composite() -> torch.Tensor:
+def pictures() -> torch.Tensor:
     return torch.rand(2, 6, 5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64) ** 4 * 50
 
 
 def test_tone_map_against_numpy() -> None:
-    images = composite()
+    images = pictures()
     mask = images[..., 0] > 0.1
     tone = ToneMap.from_images(images, mask)
     rgb = images.numpy()
@@ -222,22 +223,20 @@ def test_tone_map_against_numpy() -> None:
 
 
 def test_tone_map_is_frozen_and_recorded() -> None:
-    tone = ToneMap.from_images(composite(), key=0.3)
-    assert ToneMap.from_dict(tone.to_dict()) == tone
-    assert torch.allclose(tone(composite()[:1]), tone(composite())[:1], rtol=1e-14)
+    tone = ToneMap.from_images(pictures(), key=0.3)
+    assert ToneMap(**tone.to_dict()) == tone
+    assert torch.allclose(tone(pictures()[:1]), tone(pictures())[:1], rtol=1e-14)
     # phi is recorded and changes nothing
-    other = ToneMap.from_images(composite(), key=0.3, phi=8.0)
+    other = ToneMap.from_images(pictures(), key=0.3, phi=8.0)
     assert other.phi == 8.0
-    assert torch.equal(other(composite()), tone(composite()))
-    with pytest.raises(DataError):
-        ToneMap.from_dict({"average": 1.0})
+    assert torch.equal(other(pictures()), tone(pictures()))
     with pytest.raises(UsageError, match="gamma"):
-        ToneMap.from_images(composite(), gamma=0)
+        ToneMap.from_images(pictures(), gamma=0)
 
 
 def test_tone_map_has_finite_gradients_everywhere() -> None:
-    tone = ToneMap.from_images(composite())
-    image = composite()
+    tone = ToneMap.from_images(pictures())
+    image = pictures()
     image[0, 0] = 0
     image[0, 1, :, 1] = 0
     image[0, 2] = -1
@@ -249,7 +248,7 @@ def test_tone_map_has_finite_gradients_everywhere() -> None:
     assert image.grad.isfinite().all()
     assert shown.min() >= 0
     assert shown.max() <= 1
-    inside = composite() + 0.1
+    inside = pictures() + 0.1
     assert torch.autograd.gradcheck(tone, inside.requires_grad_())
 
 
@@ -268,7 +267,7 @@ def test_pictures_without_a_tone_map(image: torch.Tensor, mask: torch.Tensor | N
 
 
 def test_over_blends_by_coverage() -> None:
-    shown = over(torch.ones(2, 1, 3, 3), torch.tensor([[0.0, 0.5, 1.0]]), background=0.2)
+    shown = composite(torch.ones(2, 1, 3, 3), torch.tensor([[0.0, 0.5, 1.0]]), background=0.2)
     np.testing.assert_allclose(shown[1, 0, :, 0].numpy(), [0.2, 0.6, 1.0], rtol=1e-6)
 
 

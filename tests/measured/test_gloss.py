@@ -5,11 +5,12 @@ import math
 import pytest
 import torch
 
-from torchbrdf.measured import Lookup, Measured, Source, contrast_gloss, distinctness_of_image, load
-from torchbrdf.measured.gloss import LARGEST, luminance
+from torchbrdf.color import luminance
+from torchbrdf.measured import BrdfFormat, Lookup, Measured, contrast_gloss, distinctness_of_image, load
+from torchbrdf.measured.gloss import LARGEST_ANGLE
 
 
-class Known(Source):
+class Known(BrdfFormat):
     """Materials given by functions of Pairs."""
 
     format = "known"
@@ -60,7 +61,7 @@ def test_distinctness_is_of_luminance_and_has_a_limit():
     measured = Measured(Known(green, red_and_green, constant(0.3), constant(0.0), constant(-1.0)))
     found = distinctness_of_image(measured)
     assert found[0] == pytest.approx(math.degrees(0.1 * math.sqrt(math.log(1 / 0.3))), rel=1e-3)
-    assert found[1] == LARGEST == found[2]
+    assert found[1] == LARGEST_ANGLE == found[2]
     assert found[3:].isnan().all()
 
 

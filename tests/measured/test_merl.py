@@ -130,7 +130,7 @@ def test_any_values_come_back_within_a_rounding(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
 def test_at_the_bin_centres(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "FEW", few)
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
     values, valid = table
     some = np.random.default_rng(1).choice(np.flatnonzero(valid), 20_000)
     angles = (torch.from_numpy(angle.reshape(-1)[some])[None] for angle in merl_centres())
@@ -146,7 +146,7 @@ def test_at_the_bin_centres(source, table, monkeypatch, few):
 
 @pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
 def test_at_any_pairs_is_what_a_loop_finds(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "FEW", few)
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
     values, valid = table
     pairs = random_pairs(400)
     expected, missing = loop_trilinear(values, valid, fractional(pairs))
@@ -157,7 +157,7 @@ def test_at_any_pairs_is_what_a_loop_finds(source, table, monkeypatch, few):
 
 @pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
 def test_where_no_neighbour_is_valid_the_nearest_valid_bin_is(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "FEW", few)
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
     values, valid = table
     rng = np.random.default_rng(2)
     place = np.stack([rng.uniform(41, 45, 60), rng.uniform(21, 25, 60), rng.uniform(31, 58, 60)], -1)
@@ -199,7 +199,7 @@ def test_float32_and_several_materials(source, merl_file, tmp_path, monkeypatch)
     two = Merl.open([merl_file, other])
     pairs = random_pairs(3000)
     exact = source.at(pairs, [0], "linear").values
-    monkeypatch.setattr(merl, "FEW", 0)
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", 0)
     monkeypatch.setattr("torchbrdf.measured.grid.CHUNK", 700)
     found = two.at(pairs.to(dtype=torch.float32), [1, 0], "linear")
     assert found.values.dtype == torch.float32

@@ -13,7 +13,7 @@ from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.perception import Distances, statistics_of, tabulate
-from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, configure, run
 from torchbrdf.report.human_page import trained
 
@@ -73,7 +73,7 @@ def test_what_is_scored_is_not_scored_again(out, monkeypatch):
     def no_need(*_):
         raise AssertionError("looked at the values again")
 
-    monkeypatch.setattr("torchbrdf.recipes.human_benchmark.gather", no_need)
+    monkeypatch.setattr("torchbrdf.recipes.human_benchmark.evaluate_brdfs", no_need)
     run(benchmark(**SETTINGS), out)
     assert (out / "scores.json").read_text() == scores
 
@@ -148,9 +148,9 @@ def test_factors_are_one_more_method_where_there_is_a_file(tmp_path):
 
 
 def test_a_trained_metric_is_said_to_have_seen_the_answers():
-    subjects = made_up(questions=20)
-    columns = statistics_of(subjects.triplets, subjects.opinions)
-    count = len(subjects.triplets.materials)
+    data = synthetic_benchmark(questions=20)
+    columns = statistics_of(data.triplets, data.opinions)
+    count = len(data.triplets.materials)
     some = Distances(torch.rand(count, count, dtype=torch.float64), None)
     (line,) = trained(tabulate(columns, {"learned": some, "rms": some}, replicates=3))
     assert f"{LearnedLoss().provenance['held_out']['majority'][0]:.3f}" in line and "did not see" in line

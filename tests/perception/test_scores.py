@@ -13,10 +13,10 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured.catalogue import MERL_SHA256
 from torchbrdf.perception import (
+    BenchmarkData,
     Opinions,
-    Subjects,
     distances,
-    gather,
+    evaluate_brdfs,
     read_lagunas,
     read_opinions,
     read_triplets,
@@ -24,7 +24,7 @@ from torchbrdf.perception import (
     score_triplets,
     uniform_pairs,
 )
-from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 
 NAMES = ["a", "b", "c", "d"]
 
@@ -92,7 +92,7 @@ def test_opinions_are_read(tmp_path):
     # MOS 4: variance 0.2 (-16 + 24 - 5) = 0.6; at the ends of the scale 0.15.
     expected = [math.sqrt(0.6 / 30) / 4, math.sqrt(0.15 / 30) / 4, math.sqrt(0.15 / 30) / 4]
     assert opinions.standard_error.tolist() == pytest.approx(expected, rel=1e-12)
-    part = opinions.of({"WARD"})
+    part = opinions.select([0, 2])
     assert part.materials == ["nickel", "brass"] and part.distance.tolist() == [0.25, 1]
 
 
@@ -139,40 +139,40 @@ def test_directions_that_cannot_be_are_refused(count, limit):
 
 
 @pytest.fixture(scope="module")
-def subjects():
-    return made_up(questions=40)
+def benchmark():
+    return synthetic_benchmark(questions=40)
 
 
 @pytest.mark.parametrize("name", list(LOSSES))
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_distances_are_those_of_one_pair_after_another(subjects, name, dtype, monkeypatch):
+def test_distances_are_those_of_one_pair_after_another(benchmark, name, dtype, monkeypatch):
     pairs = uniform_pairs(50).to(dtype=dtype)
-    seen = gather(subjects, pairs)
+    seen = evaluate_brdfs(benchmark, pairs)
     assert seen.materials.dtype == seen.approximations.dtype == dtype
     loss = LOSSES[name](reduction="none")
-    whole = score_triplets(loss, seen, subjects.triplets)
+    whole = score_triplets(loss, seen, benchmark.triplets)
     rows = score_opinions(loss, seen)
     monkeypatch.setattr("torchbrdf.perception.agreement.scores._SEEN", 1)  # one at a time
     rtol = 1e-5 if dtype == torch.float32 else 1e-12
-    assert torch.allclose(score_triplets(loss, seen, subjects.triplets), whole, rtol=rtol, atol=0, equal_nan=True)
-    for reference, *candidates in subjects.triplets.questions[:5].tolist():
+    assert torch.allclose(score_triplets(loss, seen, benchmark.triplets), whole, rtol=rtol, atol=0, equal_nan=True)
+    for reference, *candidates in benchmark.triplets.questions[:5].tolist():
         for candidate in candidates:
             own = loss(seen.materials[candidate][None], seen.materials[reference][None], pairs)
             assert float(whole[reference, candidate]) == pytest.approx(float(own), rel=rtol)
-    opinions = subjects.opinions
+    opinions = benchmark.opinions
     for row in (0, 7, len(opinions) - 1):
-        target = subjects.references(pairs, [opinions.materials[row]])
-        model = subjects.approximations[opinions.methods[row]].of([opinions.materials[row]]).to(dtype=dtype)
+        target = benchmark.references(pairs, [opinions.materials[row]])
+        model = benchmark.approximations[opinions.methods[row]].of([opinions.materials[row]]).to(dtype=dtype)
         with torch.no_grad():
             assert float(rows[row]) == pytest.approx(float(loss(model(pairs), target, pairs)), rel=10 * rtol)
 
 
-def test_only_what_is_asked_for_is_worked_out(subjects):
-    seen = gather(subjects, uniform_pairs(20))
-    matrix = score_triplets(LOSSES["rms"](reduction="none"), seen, subjects.triplets)
+def test_only_what_is_asked_for_is_worked_out(benchmark):
+    seen = evaluate_brdfs(benchmark, uniform_pairs(20))
+    matrix = score_triplets(LOSSES["rms"](reduction="none"), seen, benchmark.triplets)
     asked = torch.zeros_like(matrix, dtype=torch.bool)
     for k in (1, 2):
-        asked[subjects.triplets.questions[:, 0], subjects.triplets.questions[:, k]] = True
+        asked[benchmark.triplets.questions[:, 0], benchmark.triplets.questions[:, k]] = True
     assert torch.equal(asked, matrix.isfinite())
     with pytest.raises(UsageError, match="expected reduction none"):
         score_opinions(LOSSES["rms"](), seen)
@@ -181,18 +181,18 @@ def test_only_what_is_asked_for_is_worked_out(subjects):
         distances(LOSSES["rms"](reduction="none"), seen.materials, seen.materials, None, place, place)
 
 
-def test_methods_without_a_model_are_left_out(subjects):
-    given = subjects.all_opinions
+def test_methods_without_a_model_are_left_out(benchmark):
+    given = benchmark.all_opinions
     more = Opinions(["NEURAL", *given.methods], [given.materials[0], *given.materials], torch.ones(len(given) + 1))
-    asked = Subjects(subjects.measured, subjects.triplets, more, subjects.approximations)
+    asked = BenchmarkData(benchmark.measured, benchmark.triplets, more, benchmark.approximations)
     assert asked.left_out == ["NEURAL"]
     assert asked.opinions.methods == given.methods
 
 
-def test_a_missing_material_is_named(subjects):
-    less = subjects.measured.batch(list(range(1, len(subjects.measured))))
-    with pytest.raises(DataError, match=f"found 9 without 1 of them: {subjects.measured.names[0]}"):
-        Subjects(less, subjects.triplets, subjects.all_opinions, subjects.approximations)
+def test_a_missing_material_is_named(benchmark):
+    less = benchmark.measured.batch(list(range(1, len(benchmark.measured))))
+    with pytest.raises(DataError, match=f"found 9 without 1 of them: {benchmark.measured.names[0]}"):
+        BenchmarkData(less, benchmark.triplets, benchmark.all_opinions, benchmark.approximations)
 
 
 def test_matrices_of_distances_are_checked(tmp_path):

@@ -1,4 +1,4 @@
-"""Learning a metric from answers: the lesson, the likelihood, cross-validation, and the recipe."""
+"""Learning a metric from answers: the training set, the likelihood, cross-validation, and the recipe."""
 
 import csv
 import json
@@ -14,75 +14,84 @@ from torchbrdf.lobes import make_model
 from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
 from torchbrdf.losses.learned import ROWS
 from torchbrdf.measured import load, standins
-from torchbrdf.perception import gather, uniform_pairs
-from torchbrdf.perception.datasets.synthetic import made_up
+from torchbrdf.perception import evaluate_brdfs, uniform_pairs
+from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.perception.learning.training import (
     LAPSE,
-    LEAST,
-    SHARE,
-    SLOPE,
+    MIN_POINTWISE_SHARE,
+    PART_SLOPE,
+    PART_WEIGHT,
     Split,
+    baseline_distances,
     best_iteration,
     finished,
-    formulas,
     held_out,
-    mismatch,
+    negative_log_likelihood,
+    select_judgments,
     splits,
     train,
-    within,
 )
-from torchbrdf.perception.learning.training_set import Lesson, joined, lesson_of, lesson_of_choices
+from torchbrdf.perception.learning.training_set import (
+    TrainingSet,
+    make_training_set,
+    merge_training_sets,
+    training_set_from_choices,
+)
 from torchbrdf.recipe import RECIPES, configure, run
 
-SUBJECTS = made_up(questions=200)
-SEEN = gather(SUBJECTS, uniform_pairs(300))
-LESSON = lesson_of(SUBJECTS, SEEN)
-ALL = Split("all", torch.ones(len(LESSON.names), dtype=torch.bool))
+DATA = synthetic_benchmark(questions=200)
+BRDFS = evaluate_brdfs(DATA, uniform_pairs(300))
+TRAINING_SET = make_training_set(DATA, BRDFS)
+ALL = Split("all", torch.ones(len(TRAINING_SET.names), dtype=torch.bool))
 
 
-def test_distances_of_a_lesson_are_those_of_the_loss() -> None:
-    weights = train(LESSON, ALL, 5).weights[-1]
-    named = finished(LESSON, weights)
+def test_distances_of_a_training_set_are_those_of_the_loss() -> None:
+    weights = train(TRAINING_SET, ALL, 5).weights[-1]
+    named = finished(TRAINING_SET, weights)
     loss = LearnedLoss(reduction="none", weights={"weights": named})
-    found = formulas(LESSON, SEEN, {"learned": loss})["learned"]
-    own = LESSON.distances(weights)
-    own = own / own[LESSON.method < 0].mean()
+    found = baseline_distances(TRAINING_SET, BRDFS, {"learned": loss})["learned"]
+    own = TRAINING_SET.distances(weights)
+    own = own / own[TRAINING_SET.method < 0].mean()
     torch.testing.assert_close(found, own, rtol=2e-4, atol=1e-6)  # weights have four digits
-    assert float(found[LESSON.method < 0].mean()) == pytest.approx(1, rel=1e-3)
+    assert float(found[TRAINING_SET.method < 0].mean()) == pytest.approx(1, rel=1e-3)
 
 
 def test_comparisons_are_those_of_the_statistics() -> None:
-    """A question of the triplets, a pair of opinions, found again among the lesson's places."""
-    triplets, opinions = SUBJECTS.triplets, SUBJECTS.opinions
-    asked = LESSON.asked["triplets"]
+    """A question of the triplets, a pair of opinions, found again among the training set's places."""
+    triplets, opinions = DATA.triplets, DATA.opinions
+    judgments = TRAINING_SET.judgments["triplets"]
     for k in (0, 17, 199):
         reference, a, b = triplets.questions[k].tolist()
-        for place, candidate in ((asked.first[k], a), (asked.second[k], b)):
-            assert {int(LESSON.first[place]), int(LESSON.second[place])} == {reference, candidate}
-        assert float(asked.share[k]) == triplets.votes[k, 0] / triplets.votes[k].sum()
-    pairs = LESSON.asked["pairs"]
+        for place, candidate in ((judgments.first[k], a), (judgments.second[k], b)):
+            assert {int(TRAINING_SET.first[place]), int(TRAINING_SET.second[place])} == {reference, candidate}
+        assert float(judgments.share[k]) == triplets.votes[k, 0] / triplets.votes[k].sum()
+    pairs = TRAINING_SET.judgments["pairs"]
     for k in range(len(pairs)):
-        one, other = (int(LESSON.first[place]) for place in (pairs.first[k], pairs.second[k]))
+        one, other = (int(TRAINING_SET.first[place]) for place in (pairs.first[k], pairs.second[k]))
         assert opinions.materials[one] == opinions.materials[other] and opinions.methods[one] != opinions.methods[other]
         assert opinions.distance[one] < opinions.distance[other] and 0.5 < float(pairs.share[k]) <= 1
-    assert {LESSON.methods[int(k)] for k in LESSON.method[LESSON.method >= 0]} == set(opinions.methods)
+    assert {TRAINING_SET.methods[int(k)] for k in TRAINING_SET.method[TRAINING_SET.method >= 0]} == set(
+        opinions.methods
+    )
 
 
 def test_the_mismatch_is_thurstones() -> None:
     generator = torch.Generator().manual_seed(1)
-    weights = torch.rand(LESSON.terms.shape[1], generator=generator, dtype=torch.float64)
+    weights = torch.rand(TRAINING_SET.terms.shape[1], generator=generator, dtype=torch.float64)
     slopes = torch.tensor([0.3, -0.2], dtype=torch.float64)
-    distance, expected = LESSON.distances(weights), 0.0
-    for part, own in LESSON.asked.items():
-        slope = SLOPE[part] * float(slopes[0 if part == "triplets" else 1].exp())
+    distance, expected = TRAINING_SET.distances(weights), 0.0
+    for part, own in TRAINING_SET.judgments.items():
+        slope = PART_SLOPE[part] * float(slopes[0 if part == "triplets" else 1].exp())
         total = 0.0
         for k in range(len(own)):
             z = max(-6.0, min(6.0, slope * float(distance[own.second[k]] - distance[own.first[k]])))
             p = LAPSE + (1 - 2 * LAPSE) * norm.cdf(z)
             share = float(own.share[k])
             total -= float(own.count[k]) * (share * norm.logpdf(0) * 0 + share * _log(p) + (1 - share) * _log(1 - p))
-        expected += SHARE[part] * total / float(own.count.sum())
-    assert float(mismatch(LESSON, LESSON.asked, weights, slopes)) == pytest.approx(expected, rel=1e-10)
+        expected += PART_WEIGHT[part] * total / float(own.count.sum())
+    assert float(negative_log_likelihood(TRAINING_SET, TRAINING_SET.judgments, weights, slopes)) == pytest.approx(
+        expected, rel=1e-10
+    )
 
 
 def _log(p: float) -> float:
@@ -90,18 +99,25 @@ def _log(p: float) -> float:
 
 
 def test_its_gradient_is_finite_where_two_are_equal() -> None:
-    equal = Lesson(**{**vars(LESSON), "terms": LESSON.terms * 0})
-    weights = torch.ones(LESSON.terms.shape[1], dtype=torch.float64, requires_grad=True)
-    (slope,) = torch.autograd.grad(mismatch(equal, equal.asked, weights, torch.zeros(2, dtype=torch.float64)), weights)
+    equal = TrainingSet(**{**vars(TRAINING_SET), "terms": TRAINING_SET.terms * 0})
+    weights = torch.ones(TRAINING_SET.terms.shape[1], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(
+        negative_log_likelihood(equal, equal.judgments, weights, torch.zeros(2, dtype=torch.float64)), weights
+    )
     assert bool(slope.isfinite().all())
 
     def value(x):
-        return float(mismatch(LESSON, LESSON.asked, torch.from_numpy(x), torch.zeros(2, dtype=torch.float64)))
+        return float(
+            negative_log_likelihood(
+                TRAINING_SET, TRAINING_SET.judgments, torch.from_numpy(x), torch.zeros(2, dtype=torch.float64)
+            )
+        )
 
     def gradient(x):
         point = torch.from_numpy(x).requires_grad_()
         (found,) = torch.autograd.grad(
-            mismatch(LESSON, LESSON.asked, point, torch.zeros(2, dtype=torch.float64)), point
+            negative_log_likelihood(TRAINING_SET, TRAINING_SET.judgments, point, torch.zeros(2, dtype=torch.float64)),
+            point,
         )
         return found.numpy()
 
@@ -110,53 +126,57 @@ def test_its_gradient_is_finite_where_two_are_equal() -> None:
 
 
 def test_training_learns_and_keeps_to_its_bounds() -> None:
-    course = train(LESSON, ALL, 12)
-    assert course.curve.shape == (12, 2) and course.weights.shape == (12, LESSON.terms.shape[1])
-    assert float(course.curve[-1, 0]) < float(course.curve[0, 0]) - 0.01
-    assert float(course.weights.min()) >= 0
-    scaled = course.weights * LESSON.terms[LESSON.method < 0].mean(0)
-    assert float((scaled[:, :ROWS].sum(1) / scaled.sum(1)).min()) >= LEAST * (1 - 1e-9)
-    again = train(LESSON, ALL, 12)
-    assert torch.equal(again.weights, course.weights)
+    history = train(TRAINING_SET, ALL, 12)
+    assert history.curve.shape == (12, 2) and history.weights.shape == (12, TRAINING_SET.terms.shape[1])
+    assert float(history.curve[-1, 0]) < float(history.curve[0, 0]) - 0.01
+    assert float(history.weights.min()) >= 0
+    scaled = history.weights * TRAINING_SET.terms[TRAINING_SET.method < 0].mean(0)
+    assert float((scaled[:, :ROWS].sum(1) / scaled.sum(1)).min()) >= MIN_POINTWISE_SHARE * (1 - 1e-9)
+    again = train(TRAINING_SET, ALL, 12)
+    assert torch.equal(again.weights, history.weights)
 
 
 def test_a_split_does_not_look_at_what_it_is_judged_on() -> None:
-    every = list(splits(LESSON, 2, seed=3))
-    assert len(every) == 4 + 2 * len(LESSON.methods)
+    every = list(splits(TRAINING_SET, 2, seed=3))
+    assert len(every) == 4 + 2 * len(TRAINING_SET.methods)
     assert torch.equal(every[0].materials, ~next(s for s in every if s.name == "half-0-1").materials)
     for split in every:
-        for own in LESSON.asked.values():
-            seen, unseen = (within(LESSON, own, split, seen=x) for x in (True, False))
+        for own in TRAINING_SET.judgments.values():
+            seen, unseen = (select_judgments(TRAINING_SET, own, split, seen=x) for x in (True, False))
             assert bool(split.materials[seen.materials].all()) and not bool(split.materials[unseen.materials].any())
             if split.without >= 0:
-                assert not bool((LESSON.method[torch.stack([seen.first, seen.second])] == split.without).any())
-                about = LESSON.method[torch.stack([unseen.first, unseen.second])] == split.without
+                assert not bool((TRAINING_SET.method[torch.stack([seen.first, seen.second])] == split.without).any())
+                about = TRAINING_SET.method[torch.stack([unseen.first, unseen.second])] == split.without
                 assert bool(about.any(0).all())
     # Answers about what is held out do not change what is learned.
     split = every[0]
-    other = dict(LESSON.asked)
-    asked = other["triplets"]
-    mixed = ~split.materials[asked.materials].all(1)
-    other["triplets"] = type(asked)(
-        asked.first, asked.second, torch.where(mixed, 1 - asked.share, asked.share), asked.count, asked.materials
+    other = dict(TRAINING_SET.judgments)
+    judgments = other["triplets"]
+    mixed = ~split.materials[judgments.materials].all(1)
+    other["triplets"] = type(judgments)(
+        judgments.first,
+        judgments.second,
+        torch.where(mixed, 1 - judgments.share, judgments.share),
+        judgments.count,
+        judgments.materials,
     )
-    turned = Lesson(**{**vars(LESSON), "asked": other})
-    assert torch.equal(train(turned, split, 3).weights, train(LESSON, split, 3).weights)
+    turned = TrainingSet(**{**vars(TRAINING_SET), "judgments": other})
+    assert torch.equal(train(turned, split, 3).weights, train(TRAINING_SET, split, 3).weights)
 
 
 def test_what_is_held_out_is_counted_right() -> None:
     """By hand: the mean over splits of whether a comparison of unseen materials is ordered right."""
-    every = [split for split in splits(LESSON, 2, seed=3) if split.without < 0]
-    courses = [train(LESSON, split, 4) for split in every]
-    best = best_iteration(courses)
-    judged = [(split, course.weights[best]) for split, course in zip(every, courses, strict=True)]
-    others = formulas(LESSON, SEEN, {"rms": RMSLoss(reduction="none")})
-    found = held_out(LESSON, judged, others, replicates=50)
-    own = LESSON.statistics["majority"]
+    every = [split for split in splits(TRAINING_SET, 2, seed=3) if split.without < 0]
+    histories = [train(TRAINING_SET, split, 4) for split in every]
+    best = best_iteration(histories)
+    judged = [(split, history.weights[best]) for split, history in zip(every, histories, strict=True)]
+    others = baseline_distances(TRAINING_SET, BRDFS, {"rms": RMSLoss(reduction="none")})
+    found = held_out(TRAINING_SET, judged, others, replicates=50)
+    own = TRAINING_SET.statistics["majority"]
     shares, theirs = [], []
     for k in range(len(own)):
         right = [
-            float(LESSON.distances(weights)[own.nearer[k]] < LESSON.distances(weights)[own.farther[k]])
+            float(TRAINING_SET.distances(weights)[own.nearer[k]] < TRAINING_SET.distances(weights)[own.farther[k]])
             for split, weights in judged
             if not bool(split.materials[own.materials[k]].any())
         ]
@@ -170,30 +190,32 @@ def test_what_is_held_out_is_counted_right() -> None:
     assert mine["share"][1] <= mine["share"][0] <= mine["share"][2] and mine["gain"] == [0, 0, 0]
 
 
-def test_lessons_join() -> None:
-    reverse = Lesson(**{**vars(LESSON), "names": LESSON.names[::-1]})  # the same answers about materials of other names
-    both = joined([LESSON, reverse])
-    assert both.names == LESSON.names and both.methods == LESSON.methods
-    assert len(both.terms) == 2 * len(LESSON.terms)
-    for name, own in LESSON.asked.items():
-        part, count = both.asked[name], len(own)
-        assert torch.equal(part.first[count:], own.first + len(LESSON.terms))
-        assert torch.equal(part.materials[count:], len(LESSON.names) - 1 - own.materials)
-    for name, own in LESSON.statistics.items():
+def test_training_sets_are_merged() -> None:
+    reverse = TrainingSet(
+        **{**vars(TRAINING_SET), "names": TRAINING_SET.names[::-1]}
+    )  # the same answers about materials of other names
+    both = merge_training_sets([TRAINING_SET, reverse])
+    assert both.names == TRAINING_SET.names and both.methods == TRAINING_SET.methods
+    assert len(both.terms) == 2 * len(TRAINING_SET.terms)
+    for name, own in TRAINING_SET.judgments.items():
+        part, count = both.judgments[name], len(own)
+        assert torch.equal(part.first[count:], own.first + len(TRAINING_SET.terms))
+        assert torch.equal(part.materials[count:], len(TRAINING_SET.names) - 1 - own.materials)
+    for name, own in TRAINING_SET.statistics.items():
         there = both.statistics[name].materials[len(own) :]
         assert torch.equal(there < 0, own.materials < 0)
 
 
-def test_choices_become_a_lesson() -> None:
+def test_choices_become_a_training_set() -> None:
     votes = torch.tensor([[3, 1], [2, 2], [0, 4]])
     pairs = torch.tensor([[0, 1], [0, 2], [1, 2]])
-    stimuli = list(SUBJECTS.opinions.methods)
-    own = lesson_of_choices(LESSON.names, stimuli, SEEN, pairs, votes)
-    asked, counted = own.asked["choices"], own.statistics["choices"]
-    assert asked.share.tolist() == [0.75, 0.5, 0] and asked.count.tolist() == [4, 4, 4]
+    stimuli = list(DATA.opinions.methods)
+    own = training_set_from_choices(TRAINING_SET.names, stimuli, BRDFS, pairs, votes)
+    judgments, counted = own.judgments["choices"], own.statistics["choices"]
+    assert judgments.share.tolist() == [0.75, 0.5, 0] and judgments.count.tolist() == [4, 4, 4]
     assert counted.nearer.tolist() == [0, 2] and counted.farther.tolist() == [1, 1]
     with pytest.raises(DataError, match="expected choices, found none"):
-        lesson_of_choices(LESSON.names, stimuli, SEEN, pairs[:0], votes[:0])
+        training_set_from_choices(TRAINING_SET.names, stimuli, BRDFS, pairs[:0], votes[:0])
 
 
 # --- the recipe ---------------------------------------------------------------------------------------------------
@@ -213,12 +235,12 @@ def out(tmp_path_factory) -> Path:
 def test_the_recipe_writes_a_metric_that_gives_the_shares_it_says(out: Path) -> None:
     metric = json.loads((out / "metric.json").read_text())
     loss = LearnedLoss(reduction="none", weights=out / "metric.json")
-    subjects = made_up(seed=0)
-    seen = gather(subjects, uniform_pairs(500).to(dtype=torch.float32))
-    lesson = lesson_of(subjects, seen)
-    distance = formulas(lesson, seen, {"learned": loss})["learned"]
-    for name, own in lesson.statistics.items():
-        share = float(own.share(own.right(distance[None])))
+    data = synthetic_benchmark(seed=0)
+    seen = evaluate_brdfs(data, uniform_pairs(500).to(dtype=torch.float32))
+    training_set = make_training_set(data, seen)
+    distance = baseline_distances(training_set, seen, {"learned": loss})["learned"]
+    for name, own in training_set.statistics.items():
+        share = float(own.agreement_rate(own.concordant(distance[None])))
         assert share == pytest.approx(metric["provenance"]["seen"][name], abs=0.01)  # weights have four digits
     assert metric["provenance"]["learned_from"][0]["mark"] == "made-up answers: nobody was asked"
 
@@ -297,7 +319,7 @@ def test_ones_own_study_trains_a_metric(studied: Path, tmp_path: Path) -> None:
     assert facts["answers"] == "90 choices of 3 observers of a study" and facts["mark"] == ""
     assert metric["provenance"]["seen"]["choices"] > 0.8
     assert float(
-        LearnedLoss(weights=tmp_path / "own" / "metric.json")(SEEN.materials[:1], SEEN.materials[1:2], SEEN.pairs)
+        LearnedLoss(weights=tmp_path / "own" / "metric.json")(BRDFS.materials[:1], BRDFS.materials[1:2], BRDFS.pairs)
     )
     both = run(recipe(**options, quick="true", iterations="8"), tmp_path / "quick")
     assert both.is_file()

@@ -12,10 +12,10 @@ from scipy import stats
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.psychophysics import (
     Comparisons,
-    agreement,
     agreement_with_others,
     circular_triads,
     consistence,
+    kendall_agreement,
     observer_reports,
     observers,
     simulated_wins,
@@ -90,7 +90,7 @@ def test_agreement_has_the_published_test():
     totals = [[0] * 13 for _ in range(13)]
     for (i, j), count in zip(itertools.combinations(range(13), 2), counts, strict=True):
         totals[i][j] = count
-    found = agreement(judged(totals, 21))
+    found = kendall_agreement(judged(totals, 21))
     assert found.u.item() == pytest.approx(0.1866, abs=5e-5)
     assert found.chi_square.item() == pytest.approx(412.22, abs=5e-3)
     assert found.dof.item() == pytest.approx(90.75, abs=5e-3)
@@ -99,9 +99,9 @@ def test_agreement_has_the_published_test():
 
 @pytest.mark.parametrize(("judges", "least"), [(2, -1.0), (4, -1 / 3), (5, -1 / 5)])
 def test_agreement_reaches_from_one_to_its_least(judges, least):
-    assert agreement(judged([[0, judges, judges], [0, 0, judges], [0, 0, 0]], judges)).u.item() == 1
+    assert kendall_agreement(judged([[0, judges, judges], [0, 0, judges], [0, 0, 0]], judges)).u.item() == 1
     half = judges // 2
-    found = agreement(judged([[0, half, half], [0, 0, half], [0, 0, 0]], judges))
+    found = kendall_agreement(judged([[0, half, half], [0, 0, half], [0, 0, 0]], judges))
     assert found.u.item() == pytest.approx(least)
     assert found.p.isnan().item() == (judges < 3)
 
@@ -110,7 +110,9 @@ def test_agreement_by_chance_is_seldom_significant():
     generator = torch.Generator().manual_seed(0)
     wins = simulated_wins(torch.zeros(6).double(), torch.ones(10, 1000, 6, 6).double(), generator)
     names = [f"s{k}" for k in range(6)]
-    found = agreement(Comparisons([f"m{k}" for k in range(1000)], [names] * 1000, [f"o{k}" for k in range(10)], wins))
+    found = kendall_agreement(
+        Comparisons([f"m{k}" for k in range(1000)], [names] * 1000, [f"o{k}" for k in range(10)], wins)
+    )
     assert found.u.mean().abs() < 0.01
     assert (found.p < 0.05).double().mean().item() == pytest.approx(0.05, abs=0.025)
 
@@ -119,13 +121,17 @@ def test_agreement_is_not_known_of_other_designs():
     comparisons = judged([[0, 3, 3], [0, 0, 3], [0, 0, 0]], 4)
     wins = comparisons.wins.clone()
     wins[0, 0, 0, 1] = wins[0, 0, 1, 0] = 0
-    assert agreement(Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins)).u.isnan()
+    assert kendall_agreement(
+        Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins)
+    ).u.isnan()
     wins[0, 0, 2] = wins[0, 0, :, 2] = 0
     wins[0, 0, 0, 1] = 1  # every pair of two stimuli, where the others judged three
-    assert agreement(Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins)).u.isnan()
+    assert kendall_agreement(
+        Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins)
+    ).u.isnan()
     wins[0] = 0  # one who did not judge this material at all does not count
-    found = agreement(Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins))
-    same = agreement(comparisons.select([1, 2, 3]))
+    found = kendall_agreement(Comparisons(comparisons.materials, comparisons.stimuli, comparisons.observers, wins))
+    same = kendall_agreement(comparisons.select([1, 2, 3]))
     assert found.u == same.u and found.p == same.p
 
 

@@ -15,11 +15,11 @@ from torchbrdf.lobes import CookTorrance, Lambert, Sum
 from torchbrdf.measured import load
 from torchbrdf.measured.merl import write_merl
 from torchbrdf.pairs import Pairs
-from torchbrdf.render import Environment, Mesh, Scene, View, blob, render, sphere
+from torchbrdf.render import Camera, Environment, Mesh, Scene, blob, render, sphere
 from torchbrdf.render.draw import Brdf
-from torchbrdf.render.light.punctual import DirectionalLight, Lamp, PointLight
+from torchbrdf.render.light.punctual import DirectionalLight, PointLight, PunctualLight
 
-SIZE, VIEW = 64, View(20.0)
+SIZE, CAMERA = 64, Camera(20.0)
 # Mitsuba's noise is then 8 dB or more below what is asked of us.
 SAMPLES = 32**2
 
@@ -69,13 +69,13 @@ def materials(name: str, merl: Path) -> tuple[Bsdf, Brdf]:
 @cache
 def scene_of(shape: str, shadows: bool) -> Scene:
     mesh = {"sphere": lambda: sphere(6), "blob": blob, "two spheres": two_spheres}[shape]()
-    return Scene(mesh, VIEW, surroundings(), size=SIZE, shadows=shadows)
+    return Scene(mesh, CAMERA, surroundings(), size=SIZE, shadows=shadows)
 
 
 @cache
 def studio(shape: str) -> Studio:
     scene = scene_of(shape, False)
-    return Studio(scene.mesh, VIEW, surroundings(), scene.coverage == 1)
+    return Studio(scene.mesh, CAMERA, surroundings(), scene.coverage == 1)
 
 
 @cache
@@ -116,18 +116,18 @@ def test_shadows_are_seen(merl: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "lamp",
+    "light",
     [DirectionalLight((0.5, 1.0, 0.4), (3.0, 2.0, 1.0)), PointLight((-1.5, 1.5, 2.5), (1.0, 2.0, 3.0))],
     ids=["directional", "point"],
 )
 @pytest.mark.parametrize("material", ["diffuse", "glossy", "table"])
-def test_lamps_as_mitsuba_draws_them(material: str, lamp: Lamp, merl: Path) -> None:
+def test_punctual_lights_as_mitsuba_draws_them(material: str, light: PunctualLight, merl: Path) -> None:
     """One direction a pixel: nothing is left to chance, and nothing to a quadrature."""
     pytest.importorskip("embreex", reason="shadows need embreex: pip install torchbrdf[shadows]")
     mesh, (bsdf, brdf) = two_spheres(), materials(material, merl)
-    scene = Scene(mesh, VIEW, size=SIZE, lamps=[lamp], shadows=True)
+    scene = Scene(mesh, CAMERA, size=SIZE, punctual_lights=[light], shadows=True)
     where = scene.coverage == 1
-    expected = Studio(mesh, VIEW, [lamp], where).picture(bsdf, 1)
+    expected = Studio(mesh, CAMERA, [light], where).picture(bsdf, 1)
     found = render(brdf, scene)[0]
     away = ((found - expected).abs() / expected.amax()).amax(-1)[where]
     # Where a shadow begins, a pixel may be in the light or not.

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from torchbrdf.assets.make_grove import make_grove
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.images import luminance, read_image, write_exr
+from torchbrdf.images import read_image, write_exr
 from torchbrdf.render import Environment
-from torchbrdf.render.light.grove import make_grove
 from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square
 
 ANY = torch.tensor(1e-9)
@@ -100,7 +101,7 @@ def test_where_a_bright_spot_shines_from(row_column_direction: tuple[int, int, t
     row, column, expected = row_column_direction
     picture = torch.zeros(17, 34, 3)
     picture[row, column : column + 2] = 1.0
-    brightest = Environment.from_image(picture).lights(4096)
+    brightest = Environment.from_image(picture).light_samples(4096)
     direction = brightest.direction[brightest.flux.sum(-1).argmax()]
     assert (direction * torch.tensor(expected, dtype=torch.float32)).sum() > 0.97
 
@@ -128,7 +129,7 @@ def test_energy_is_kept() -> None:
     # the averages and the lights add up to the same to rounding
     for level in environment._pyramid:
         torch.testing.assert_close(level.mean((0, 1)) * 4 * math.pi, found, rtol=1e-5, atol=0)
-    torch.testing.assert_close(environment.lights(64).flux.sum(0), found, rtol=1e-5, atol=0)
+    torch.testing.assert_close(environment.light_samples(64).flux.sum(0), found, rtol=1e-5, atol=0)
 
 
 def test_lookups_average_over_their_solid_angle(grove: Environment) -> None:
@@ -160,20 +161,20 @@ def test_lookups_have_no_seams(evening: Environment) -> None:
 
 @pytest.mark.parametrize("degrees", [90.0, -200.0])
 def test_rotation_is_counter_clockwise_from_above(evening: Environment, degrees: float) -> None:
-    turned = evening.rotated(degrees / 2).rotated(degrees / 2)
+    turned = Environment(evening.texels, evening.rotation + degrees)
     angle = math.radians(degrees)
     # x = cos, z = -sin of the azimuth seen from above
     matrix = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
     directions = random_directions(100).float()
     torch.testing.assert_close(turned.lookup(directions @ matrix.T, ANY), evening.lookup(directions, ANY))
-    torch.testing.assert_close(turned.lights(64).direction, evening.lights(64).direction @ matrix.T)
+    torch.testing.assert_close(turned.light_samples(64).direction, evening.light_samples(64).direction @ matrix.T)
 
 
 def test_lights_go_where_the_light_is() -> None:
     picture = torch.full((128, 256, 3), 0.1)
     picture[40:43, 60:63] = 1000.0
     environment = Environment.from_image(picture)
-    few, many = environment.lights(100), environment.lights(1000)
+    few, many = environment.light_samples(100), environment.light_samples(1000)
     assert len(few.flux) == 100
     assert len(many.flux) == 1000
     torch.testing.assert_close(many.direction.norm(dim=-1), torch.ones(1000))
@@ -193,14 +194,14 @@ def test_lights_go_where_the_light_is() -> None:
 
 
 def test_constant_light_gives_equal_lights() -> None:
-    lights = Environment.from_image(torch.full((8, 16, 3), 2.0)).lights(256)
+    lights = Environment.from_image(torch.full((8, 16, 3), 2.0)).light_samples(256)
     torch.testing.assert_close(lights.flux, torch.full((256, 3), 2 * 4 * math.pi / 256))
 
 
 def test_dark_parts_give_no_lights() -> None:
     picture = torch.zeros(16, 32, 3)
     picture[:8] = 1.0
-    assert (Environment.from_image(picture).lights(256).flux.sum(-1) > 0).all()
+    assert (Environment.from_image(picture).light_samples(256).flux.sum(-1) > 0).all()
 
 
 def broken(value: float) -> Tensor:
@@ -237,7 +238,7 @@ def test_what_is_no_environment_at_all(tmp_path: Path, evening: Environment) -> 
     with pytest.raises(UsageError, match="rotation"):
         Environment.from_image(torch.ones(8, 16, 3), rotation=math.nan)
     with pytest.raises(UsageError, match="at least 4"):
-        evening.lights(3)
+        evening.light_samples(3)
 
 
 def test_the_default_is_the_generators(grove: Environment) -> None:

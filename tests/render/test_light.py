@@ -1,4 +1,4 @@
-"""Shadows against other ways to find them, and lamps."""
+"""Shadows against other ways to find them, and punctual lights."""
 
 import math
 import sys
@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render import Mesh, blob, sphere
-from torchbrdf.render.light.punctual import NEAREST, DirectionalLight, PointLight, parse_lamp
+from torchbrdf.render.light.punctual import NEAREST, DirectionalLight, PointLight, parse_light
 from torchbrdf.render.raster.mesh import _BUMPS
 from torchbrdf.render.transport.shadows import Occluder
 
@@ -176,7 +176,7 @@ def test_only_what_is_wanted_and_in_any_thread() -> None:
     assert not occluder.visible(point, direction, torch.zeros_like(wanted)).any()
     assert occluder.visible(point[:0], direction[:0]).shape == (0, 100)
     parts = [rows for _ in range(5) for rows in torch.arange(300).split(20)]
-    found = list(each(lambda rows: occluder.visible(point[rows], direction[rows]), parts))
+    found = list(thread_map(lambda rows: occluder.visible(point[rows], direction[rows]), parts))
     assert torch.equal(torch.cat(found), whole.repeat(5, 1))
 
 
@@ -247,12 +247,12 @@ def test_a_point_light_at_the_surface_gives_finite_numbers() -> None:
     assert distance.tolist() == pytest.approx([0, 1e-8])
 
 
-def test_lamps_from_the_command_line() -> None:
-    assert parse_lamp("directional:0,2,0:2.5") == DirectionalLight((0, 1, 0), 2.5)
-    assert parse_lamp("directional:0,-1,0") == DirectionalLight((0, -1, 0), 1)
-    assert parse_lamp("point:1,2,3:5,5,4") == PointLight((1, 2, 3), (5, 5, 4))
-    assert parse_lamp("point: 1, -2e-1, 3") == PointLight((1, -0.2, 3))
-    assert hash(parse_lamp("point:1,2,3")) == hash(PointLight((1, 2, 3)))
+def test_punctual_lights_from_the_command_line() -> None:
+    assert parse_light("directional:0,2,0:2.5") == DirectionalLight((0, 1, 0), 2.5)
+    assert parse_light("directional:0,-1,0") == DirectionalLight((0, -1, 0), 1)
+    assert parse_light("point:1,2,3:5,5,4") == PointLight((1, 2, 3), (5, 5, 4))
+    assert parse_light("point: 1, -2e-1, 3") == PointLight((1, -0.2, 3))
+    assert hash(parse_light("point:1,2,3")) == hash(PointLight((1, 2, 3)))
 
 
 @pytest.mark.parametrize(
@@ -273,7 +273,7 @@ def test_lamps_from_the_command_line() -> None:
         ("directional:0,1,0:1,inf,1", "DirectionalLight.irradiance: expected one or three finite numbers"),
     ],
 )
-def test_lamps_that_cannot_be(text: str, message: str) -> None:
+def test_punctual_lights_that_cannot_be(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message) as caught:
-        parse_lamp(text)
+        parse_light(text)
     assert "\n" not in str(caught.value)

@@ -15,13 +15,13 @@ from torchbrdf.fitting.variables import encode, values_of
 from torchbrdf.images import DIFFERENCES, PixelDifference, ToneMap
 from torchbrdf.lobes import LOBES, CookTorrance, DistributionBased, Lambert, Lobe, Sum, Ward, make_model
 from torchbrdf.measured import Measured
-from torchbrdf.render import Environment, RenderedLoss, Scene, View, blob
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob
 
 PIXELWISE = [name for name, kind in DIFFERENCES.items() if issubclass(kind, PixelDifference)]
 
 
 def scene_of(size: int, **settings: int) -> Scene:
-    return Scene(blob(), View(15.0), Environment.default(), size=size, **settings)
+    return Scene(blob(), Camera(15.0), Environment.default(), size=size, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def small() -> Scene:
 @pytest.fixture(scope="module")
 def large() -> Scene:
     """Large enough for every difference, but with few lights."""
-    return scene_of(176, nodes=16, lights=32)
+    return scene_of(176, nodes=16, light_samples=32)
 
 
 def mixture(roughness: float = 0.1, dtype: torch.dtype = torch.float32) -> Sum:

@@ -15,10 +15,10 @@ from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Lambert, Sum, Ward
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each
-from torchbrdf.render import Environment, Mesh, Scene, View, blob, draw, render, sphere
+from torchbrdf.parallel import thread_map
+from torchbrdf.render import Camera, Environment, Mesh, Scene, blob, draw, render, sphere
 from torchbrdf.render.light.octahedral import texel_centers
-from torchbrdf.render.transport.quadrature import FAR, NEAR, Mirror
+from torchbrdf.render.transport.quadrature import FAR, NEAR, HalfVectorQuadrature
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def grove() -> Environment:
 
 @pytest.fixture(scope="module")
 def small(grove: Environment) -> Scene:
-    return Scene(blob(), View(15.0), grove, size=12)
+    return Scene(blob(), Camera(15.0), grove, size=12)
 
 
 def constant(value: float = 1.0) -> Environment:
@@ -49,14 +49,14 @@ def brute_force(materials: Sequence[Callable[[Pairs], Tensor]], scene: Scene) ->
         return torch.stack([(material(pairs)[0] * weight).sum(0) for material in materials])
 
     pictures = torch.zeros(len(materials), scene.size**2, 3)
-    pictures[:, scene._pixels.index] = torch.stack(list(each(light, range(len(scene._pixels.index)))), 1)
+    pictures[:, scene._pixels.index] = torch.stack(list(thread_map(light, range(len(scene._pixels.index)))), 1)
     return pictures.unflatten(1, (scene.size, scene.size))
 
 
 @pytest.mark.parametrize(("lights", "tolerance"), [(1024, 2e-3), (4096, 5e-4)])
 def test_furnace(lights: int, tolerance: float) -> None:
     """A white Lambert object under constant light is everywhere as bright as the light."""
-    scene = Scene(blob(), View(), constant(3.0), size=40, lights=lights)
+    scene = Scene(blob(), Camera(), constant(3.0), size=40, light_samples=lights)
     picture = render(Lambert(albedo=1.0), scene)[0]
     np.testing.assert_allclose(picture[scene.mask].numpy(), 3, rtol=tolerance)
     assert not picture[~scene.mask].any()
@@ -66,9 +66,9 @@ def test_furnace(lights: int, tolerance: float) -> None:
 @pytest.mark.parametrize("roughness", [0.001, 0.003, 0.01, 0.1])
 def test_the_nodes_hold_a_sharp_lobe(roughness: float) -> None:
     """exp(-tan^2 theta / alpha^2) over the half vectors near the normal, by a fine sum over theta."""
-    scene = Scene(sphere(2), View(), constant(), size=4)
+    scene = Scene(sphere(2), Camera(), constant(), size=4)
     mirror = scene._parts[0]
-    assert isinstance(mirror, Mirror)
+    assert isinstance(mirror, HalfVectorQuadrature)
     _, tan2_h, solid, share = mirror.nodes
     found = (torch.exp(-tan2_h / roughness**2) * solid * share).sum() / 4
     theta = (np.arange(400_000) + 0.5) / 400_000 * math.radians(FAR)
@@ -85,7 +85,7 @@ def test_the_nodes_hold_a_sharp_lobe(roughness: float) -> None:
 )
 def test_pictures_against_brute_force(grove: Environment, level: int, size: int, least: dict[str, float]) -> None:
     """dB after tone mapping; as many lights as texels, many pixels of a coarse map and few of the full one."""
-    scene = Scene(blob(), View(15.0), Environment(grove._pyramid[level]), size=size)
+    scene = Scene(blob(), Camera(15.0), Environment(grove._pyramid[level]), size=size)
     materials = [MATERIALS[name] for name in least]
     found, expected = render(materials, scene), brute_force(materials, scene)
     tone = ToneMap.from_images(expected, scene.mask)
@@ -98,7 +98,7 @@ def test_pictures_against_brute_force(grove: Environment, level: int, size: int,
 def test_a_mirror_shows_its_surroundings_the_right_way_round() -> None:
     directions = texel_centers(512)
     colors = torch.stack([directions[..., 0] > 0.7, directions[..., 1] > 0.7, directions[..., 2] > 0.9], -1)
-    scene = Scene(sphere(), View(), Environment(colors.float() + 0.01), size=61)
+    scene = Scene(sphere(), Camera(), Environment(colors.float() + 0.01), size=61)
     picture = render(Ward(specular=1.0, roughness=0.02), scene)[0]
     reach = 0.5 * 0.92 * math.sin(math.pi / 4) * 61  # where a sphere far away shows what lies to its side
     middle, side = 30, 30 + round(reach)
@@ -110,8 +110,8 @@ def test_a_mirror_shows_its_surroundings_the_right_way_round() -> None:
 
 
 def test_turning_everything_changes_nothing(grove: Environment) -> None:
-    still = render(MATERIALS["glossy"], Scene(sphere(), View(), grove, size=40))[0]
-    turned = render(MATERIALS["glossy"], Scene(sphere(), View(70.0), grove.rotated(70.0), size=40))[0]
+    still = render(MATERIALS["glossy"], Scene(sphere(), Camera(), grove, size=40))[0]
+    turned = render(MATERIALS["glossy"], Scene(sphere(), Camera(70.0), Environment(grove.texels, 70.0), size=40))[0]
     relative = (still - turned).abs().sum() / still.sum()
     assert relative < 0.01
 
@@ -166,7 +166,7 @@ def test_the_threads_are_given_back(small: Scene) -> None:
 
 
 def test_what_the_pairs_know_fits_together(small: Scene) -> None:
-    for _, known, weight in small.chunks():
+    for _, known, weight in (job() for job in small.jobs()):
         known = known.select(samples=(weight.flatten(0, 1) > 0).any(-1).nonzero()[:, 0])
         derived = Pairs.from_directions(known.wi, known.wo)
         torch.testing.assert_close(known.wi.norm(dim=-1), torch.ones(1, len(known)))
@@ -181,7 +181,7 @@ def test_what_the_pairs_know_fits_together(small: Scene) -> None:
 
 
 def test_coverage_is_smooth_at_the_outline(grove: Environment) -> None:
-    scene = Scene(sphere(), View(), grove, size=50, nodes=8, lights=4)
+    scene = Scene(sphere(), Camera(), grove, size=50, nodes=8, light_samples=4)
     assert torch.equal(scene.mask, scene.coverage > 0)
     edge = scene.coverage[scene.mask & (scene.coverage < 1)]
     assert len(edge.unique()) > 4
@@ -198,7 +198,7 @@ def test_surfaces_have_two_sides() -> None:
     environment = Environment.from_image(picture)
     for sign in (1, -1):
         mesh = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0, sign], (4, 1)))
-        scene = Scene(mesh, View(), environment, size=15)
+        scene = Scene(mesh, Camera(), environment, size=15)
         middle = render(Lambert(albedo=1.0), scene)[0, 7, 7]
         np.testing.assert_allclose(middle.numpy(), 1, rtol=5e-3)
 
@@ -212,11 +212,11 @@ def test_every_pixel_faces_the_viewer(small: Scene) -> None:
 
 def test_scenes_that_cannot_be(grove: Environment) -> None:
     with pytest.raises(UsageError, match="size"):
-        Scene(sphere(2), View(), grove, size=0)
+        Scene(sphere(2), Camera(), grove, size=0)
     with pytest.raises(UsageError, match="nodes"):
-        Scene(sphere(2), View(), grove, size=4, nodes=0)
+        Scene(sphere(2), Camera(), grove, size=4, nodes=0)
     with pytest.raises(UsageError, match="at least one"):
-        render([], Scene(sphere(2), View(), grove, size=4))
+        render([], Scene(sphere(2), Camera(), grove, size=4))
     speck = Mesh(np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0], [9, 9, 9.0]]), np.array([[0, 1, 2]]), np.ones((4, 3)))
     with pytest.raises(DataError, match="nothing to see"):
-        Scene(speck, View(), grove, size=4)
+        Scene(speck, Camera(), grove, size=4)

@@ -13,16 +13,16 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Ward
 from torchbrdf.pairs import Pairs
-from torchbrdf.render import DirectionalLight, Environment, PointLight, Scene, View, blob, render, sphere
+from torchbrdf.render import Camera, DirectionalLight, Environment, PointLight, Scene, blob, render, sphere
 from torchbrdf.render import scene as scenes
 from torchbrdf.render.transport import cache as cached
 from torchbrdf.render.transport.transport import Transport
 
-LAMPS = (DirectionalLight((1, 2, 2), 1.5), PointLight((0, 3, 3), (9.0, 8.0, 7.0)))
+LIGHTS = (DirectionalLight((1, 2, 2), 1.5), PointLight((0, 3, 3), (9.0, 8.0, 7.0)))
 
 
 def make(size: int = 24, **settings: object) -> Scene:
-    return Scene(blob(), View(15.0), Environment.default(), size=size, **settings)  # type: ignore[arg-type]
+    return Scene(blob(), Camera(15.0), Environment.default(), size=size, **settings)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def small() -> Scene:
 
 @pytest.fixture(scope="module")
 def lit() -> Scene:
-    return make(lamps=LAMPS)
+    return make(punctual_lights=LIGHTS)
 
 
 def on(scene: Scene, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -51,10 +51,10 @@ def dense(transport: Transport) -> Tensor:
     return matrix
 
 
-@pytest.mark.parametrize("lamps", [(), LAMPS])
-def test_the_picture_is_that_of_the_quadrature(lamps: tuple[DirectionalLight | PointLight, ...]) -> None:
+@pytest.mark.parametrize("punctual_lights", [(), LIGHTS])
+def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[DirectionalLight | PointLight, ...]) -> None:
     """Within what bins cost, dB after tone mapping, and in all energy."""
-    scene = make(48, lamps=lamps)
+    scene = make(48, punctual_lights=punctual_lights)
     assert scene.pairs.above.all()
     found, expected = scene.transport @ on(scene), render([*MATERIALS.values()], scene)
     for name, one, other in zip(MATERIALS, found, expected, strict=True):
@@ -65,8 +65,8 @@ def test_the_picture_is_that_of_the_quadrature(lamps: tuple[DirectionalLight | P
         assert not one[~scene.mask].any()
 
 
-def test_lamps_alone_have_pairs_of_their_own() -> None:
-    scene = Scene(sphere(4), View(), size=16, lamps=LAMPS)
+def test_punctual_lights_alone_have_pairs_of_their_own() -> None:
+    scene = Scene(sphere(4), Camera(), size=16, punctual_lights=LIGHTS)
     torch.testing.assert_close(scene.transport @ on(scene), render([*MATERIALS.values()], scene), rtol=1e-3, atol=1e-5)
 
 
@@ -101,7 +101,9 @@ def test_products_are_those_of_the_matrix(lit: Scene) -> None:
 
 
 def test_it_is_differentiable() -> None:
-    scene = Scene(sphere(3), View(), size=3, nodes=8, lights=16, resolution=(8, 8, 8), lamps=LAMPS[:1])
+    scene = Scene(
+        sphere(3), Camera(), size=3, nodes=8, light_samples=16, resolution=(8, 8, 8), punctual_lights=LIGHTS[:1]
+    )
     values = torch.rand(2, len(scene.pairs), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     assert torch.autograd.gradcheck(lambda one: scene.transport @ one, values.requires_grad_())
     lobe = Ward(specular=0.5, roughness=torch.tensor([0.2], dtype=torch.float64))
@@ -114,10 +116,10 @@ def test_it_is_differentiable() -> None:
 
 
 def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "LARGEST", 0)
+    monkeypatch.setattr(scenes, "LARGEST_KEPT", 0)
     monkeypatch.setattr(scenes, "_CHUNK", 20_000)
-    streamed = make(lamps=LAMPS)
-    assert lit.transport.kept and not streamed.transport.kept
+    streamed = make(punctual_lights=LIGHTS)
+    assert lit.transport.in_memory and not streamed.transport.in_memory
     values = on(lit).requires_grad_()
     found, expected = streamed.transport @ values, lit.transport @ values
     torch.testing.assert_close(found, expected)
@@ -147,7 +149,7 @@ def test_shapes_that_do_not_fit(small: Scene) -> None:
 def test_a_transport_is_taken_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = make(12, cache=tmp_path)
     expected = first.transport @ on(first)
-    monkeypatch.setattr(scenes, "compact", None)  # nothing is made
+    monkeypatch.setattr(scenes, "build_transport", None)  # nothing is made
     again = make(12, cache=tmp_path)
     assert torch.equal(again.transport @ on(again), expected)
     assert len([*tmp_path.iterdir()]) == 1
@@ -156,19 +158,19 @@ def test_a_transport_is_taken_from_the_cache(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     "other",
     [
-        {"lights": 512}, {"nodes": 64}, {"resolution": (30, 30, 30)}, {"lamps": LAMPS}, {"size": 13},
-        {"view": View(16.0)}, {"environment": Environment.default(5.0)}, {"mesh": sphere(3)},
+        {"light_samples": 512}, {"nodes": 64}, {"resolution": (30, 30, 30)}, {"punctual_lights": LIGHTS}, {"size": 13},
+        {"camera": Camera(16.0)}, {"environment": Environment.default(5.0)}, {"mesh": sphere(3)},
     ],
 )  # fmt: skip
 def test_what_is_made_of_other_things_is_another(tmp_path: Path, other: dict[str, object]) -> None:
     def names(**settings: object) -> set[str]:
-        plain = {"mesh": blob(), "view": View(15.0), "environment": Environment.default(), "size": 12}
+        plain = {"mesh": blob(), "camera": Camera(15.0), "environment": Environment.default(), "size": 12}
         scene = Scene(**{**plain, **settings}, cache=tmp_path)  # type: ignore[arg-type]
-        assert scene.transport.kept
+        assert scene.transport.in_memory
         return {path.name for path in tmp_path.iterdir()}
 
-    assert len(names(nodes=32, lights=64)) == 1
-    assert len(names(**{"nodes": 32, "lights": 64, **other})) == 2
+    assert len(names(nodes=32, light_samples=64)) == 1
+    assert len(names(**{"nodes": 32, "light_samples": 64, **other})) == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "bits", "other"])
@@ -197,14 +199,14 @@ def test_a_damaged_file_is_made_anew_with_a_word(tmp_path: Path, damage: str, ca
 def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
     with caplog.at_level(logging.WARNING, "torchbrdf"):
-        assert make(8, cache=tmp_path / "file" / "folder").transport.kept
+        assert make(8, cache=tmp_path / "file" / "folder").transport.in_memory
     assert "not kept" in caplog.text
 
 
 def test_old_files_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cached, "_ROOM", 1)
     for lights in (64, 128):
-        assert make(8, lights=lights, cache=tmp_path).transport.kept
+        assert make(8, light_samples=lights, cache=tmp_path).transport.in_memory
     assert len([*tmp_path.iterdir()]) == 1
 
 

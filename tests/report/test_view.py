@@ -19,7 +19,7 @@ from torchbrdf.cli import main
 from torchbrdf.images import DIFFERENCES, ToneMap, write_exr
 from torchbrdf.lobes import CookTorrance, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
-from torchbrdf.render import Environment, Scene, View, find_mesh, render
+from torchbrdf.render import Camera, Environment, Scene, find_mesh, render
 from torchbrdf.report.view import Item, distinct, first_pair, listed
 
 SIZE, STEPS = 24, 2
@@ -118,7 +118,7 @@ def test_numbers_are_those_of_the_pictures(page, folder):
     assert all(step[3] == ["0.00", "infinite"] for light in numbers for step in light)
     light = Environment.from_file(folder / "sky.exr")
     (group,) = load_all([folder / "materials.json", folder / "fits.json"])
-    first, second = (Scene(find_mesh("blob"), View(turn), light, size=SIZE) for turn in (0, 180))
+    first, second = (Scene(find_mesh("blob"), Camera(turn), light, size=SIZE) for turn in (0, 180))
     pictures = render(group, first)
     tone = ToneMap.from_images(pictures, first.mask.expand(pictures.shape[:-1]))
     shown = tone(render(group, second))

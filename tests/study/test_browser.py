@@ -25,6 +25,8 @@ from torchbrdf.study.store import STORE, Store
 
 api = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install playwright")
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("reference", "left", "right")
 # As if the person went to another tab.
 HIDE = """() => {

@@ -302,7 +302,7 @@ def bodies(good):
     return text | st.binary(max_size=200)
 
 
-FUZZ = settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+FUZZ = settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
 
 
 @FUZZ

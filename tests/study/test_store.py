@@ -17,7 +17,7 @@ from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.study import Experiment, Stimulus, read_answers, trials, write_answers
 from torchbrdf.study import store as module
 from torchbrdf.study.design import observer_seed
-from torchbrdf.study.store import STORE, NotLetInError, NotNowError, Store, UnknownObserverError
+from torchbrdf.study.store import STORE, IneligibleError, NotNowError, Store, UnknownObserverError
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def ready(store):
     """An observer who may answer."""
     token = store.begin(EXPERIMENT)
     store.report(token, REPORTS, True)
-    store.check(token, SCREEN)
+    store.record_screen(token, SCREEN)
     return token
 
 
@@ -116,15 +116,15 @@ def test_what_is_refused_is_not_recorded(store):
     for forged in ("", token[:-1], token + "A", token.swapcase(), "%", "\0"):
         with pytest.raises(UnknownObserverError):
             store.answer(forged, 0, "left", 1.0)
-    for early in (lambda: store.answer(token, 0, "left", 1.0), lambda: store.check(token, SCREEN)):
+    for early in (lambda: store.answer(token, 0, "left", 1.0), lambda: store.record_screen(token, SCREEN)):
         with pytest.raises(NotNowError):
             early()
     store.report(token, REPORTS, True)
     with pytest.raises(NotNowError):
         store.report(token, {**REPORTS, "room": "dark"}, True)
-    store.check(token, SCREEN)
+    store.record_screen(token, SCREEN)
     with pytest.raises(NotNowError):
-        store.check(token, {**SCREEN, "card": None})
+        store.record_screen(token, {**SCREEN, "card": None})
     with pytest.raises(UsageError, match=r"^side: expected left or right, found 'up'$"):
         store.answer(token, 0, "up", 1.0)
     (profile,) = store.profiles()
@@ -137,7 +137,7 @@ def test_who_is_screened_out_is_recorded(store):
     assert store.profiles()[0]["let_in"] is None and store.profiles()[0]["reports"] is None
     assert store.report(token, {"colour_vision": "deficient"}, False).stage == "screened"
     assert store.state(token).stage == "screened"
-    with pytest.raises(NotLetInError):
+    with pytest.raises(IneligibleError):
         store.answer(token, 0, "left", 1.0)
     with pytest.raises(NotNowError):
         store.report(token, REPORTS, True)

@@ -100,7 +100,7 @@ def _loss(options: Options) -> "Loss":
     difference = DIFFERENCES[options.difference]()
     light = Environment.find(options.environment)
     mesh = find_mesh(options.shape)
-    scene = Scene(mesh, None, light, size=options.size, lights=options.lights, cache=cache_folder())
+    scene = Scene(mesh, None, light, size=options.size, light_samples=options.lights, cache=cache_folder())
     return RenderedLoss(scene, difference)
 
 

@@ -1,5 +1,8 @@
-"""`torchbrdf info`."""
+"""`torchbrdf info`: what files hold, and what this machine offers."""
 
+import importlib.metadata
+import importlib.util
+import platform
 import sys
 
 from torchbrdf.cli.common import Commands, Options, described, short
@@ -28,9 +31,7 @@ def command(options: Options) -> int:
     if not options.files and not options.system:
         raise UsageError("info: expected files, or --system")
     if options.system:
-        from torchbrdf.render.system import system_facts  # late, because most of the package comes with it
-
-        _print_facts(system_facts(), "")
+        _print_facts(_system_facts(), "")
     failed = 0
     for k, name in enumerate(options.files):
         try:
@@ -53,3 +54,27 @@ def _print_facts(facts: dict[str, object], indent: str) -> None:
             _print_facts(value, indent + "  ")
         else:
             print(f"{indent}{key:42s} {short(value)}")
+
+
+def _system_facts() -> dict[str, object]:
+    """Python, torch, and what pictures are made with: name -> what was found."""
+    import torch  # late, because most of the package comes with it
+
+    from torchbrdf.render.raster.backends import find_opengl
+
+    found = find_opengl()
+    return {
+        "python": f"{platform.python_version()}, {platform.platform()}",
+        "torch": f"{torch.__version__}, {torch.get_num_threads()} threads",
+        "cuda": torch.cuda.get_device_name() if torch.cuda.is_available() else "not available",
+        "pyrender": _version("pyrender"),
+        "opengl": found.renderer or f"does not work: {found.reason}",
+        "embreex": _version("embreex"),
+    }
+
+
+def _version(package: str) -> str:
+    """Of what is installed, without importing it."""
+    if importlib.util.find_spec(package) is None:
+        return "not installed"
+    return importlib.metadata.version(package)

@@ -36,8 +36,8 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf render`."""
     from torchbrdf.files import writable
-    from torchbrdf.images import ToneMap, over, write_exr, write_png
-    from torchbrdf.render import Environment, Scene, View, find_mesh, parse_lamp, render
+    from torchbrdf.images import ToneMap, composite, write_exr, write_png
+    from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light, render
 
     out = writable(options.out)
     if options.environment == "none" and not options.lamp:
@@ -45,10 +45,10 @@ def command(options: Options) -> int:
     light = None if options.environment == "none" else Environment.find(options.environment)
     scene = Scene(
         find_mesh(options.shape),
-        View(options.rotate, elevation=options.elevation),
+        Camera(options.rotate, elevation=options.elevation),
         light,
         size=options.size,
-        lamps=[parse_lamp(text) for text in options.lamp],
+        punctual_lights=[parse_light(text) for text in options.lamp],
         shadows=options.shadows,
         backend=options.backend,
     )
@@ -58,7 +58,7 @@ def command(options: Options) -> int:
         tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
         for name, picture in zip(group.names, pictures, strict=True):
             path = out / f"{name}.png"
-            write_png(path, over(tone(picture), scene.coverage))
+            write_png(path, composite(tone(picture), scene.coverage))
             write_exr(path.with_suffix(".exr"), picture)
             print(path)
     return 0 if complete else 1

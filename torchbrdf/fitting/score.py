@@ -11,7 +11,7 @@ from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each, each_apart
+from torchbrdf.parallel import process_map, thread_map
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
 BUDGET = 4_000_000
@@ -38,7 +38,7 @@ def groups(measured: Measured) -> Iterator[list[int]]:
 
 def share_out(function: Callable[[list[int]], Result], measured: Measured) -> Iterator[Result]:
     """`function` of batches of materials, on all cores."""
-    run = each_apart if len(measured) * len(measured.pairs) > HEAVY and measured.device.type == "cpu" else each
+    run = process_map if len(measured) * len(measured.pairs) > HEAVY and measured.device.type == "cpu" else thread_map
     yield from run(function, list(groups(measured)))
 
 

@@ -2,18 +2,17 @@
 
 from torchbrdf.images.differences import DIFFERENCES, Difference, PixelDifference
 from torchbrdf.images.files import read_image, write_exr, write_png
-from torchbrdf.images.tonemap import ToneMap, displayed, luminance, measured, over
+from torchbrdf.images.tone_mapping import ToneMap, composite, log_average_and_white, tonemap
 
 __all__ = [
     "DIFFERENCES",
     "Difference",
     "PixelDifference",
     "ToneMap",
-    "displayed",
-    "luminance",
-    "measured",
-    "over",
+    "composite",
+    "log_average_and_white",
     "read_image",
+    "tonemap",
     "write_exr",
     "write_png",
 ]

@@ -211,11 +211,5 @@ def safe_sqrt(x: Tensor) -> Tensor:
     return torch.where(positive, torch.where(positive, x, 1).sqrt(), torch.where(x < 0, torch.nan, x))
 
 
-def safe_power(x: Tensor, exponent: float) -> Tensor:
-    """x^exponent for x >= 0, with gradient 0 at 0, where that of an exponent below 1 is infinite."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1).pow(exponent), 0)
-
-
 def _shapes(prediction: Tensor, target: Tensor) -> str:
     return f"prediction {(*prediction.shape,)}, target {(*target.shape,)}"

@@ -3,8 +3,9 @@
 import torch
 from torch import Tensor
 
+from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
-from torchbrdf.losses.base import LOSSES, LeastSquares, Reduction, cosine, safe_power
+from torchbrdf.losses.base import LOSSES, LeastSquares, Reduction, cosine
 from torchbrdf.pairs import Pairs
 
 

@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine, safe_power
+from torchbrdf.color import safe_power
+from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine
 from torchbrdf.pairs import Pairs
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.losses.base import LOSSES, Reduction
 from torchbrdf.losses.grouped import GroupedLoss, holdings
@@ -20,7 +21,6 @@ FLOOR = 1e-4
 THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
 THETA_D = (15.0, 45.0, 75.0)
 """Centres of the soft bins, in degrees."""
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 ROWS, COLUMNS = len(THETA_H), len(THETA_D)
 BINS = ROWS * COLUMNS

@@ -4,7 +4,7 @@ from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
-from torchbrdf.measured.measured import FORMATS, Lookup, Measured, Samples, Source
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.standin import StandIn, standins
@@ -14,12 +14,12 @@ __all__ = [
     "MERL_NAMES",
     "MERL_SHA256",
     "PAPER_TEN",
+    "BrdfFormat",
     "Lookup",
     "Measured",
     "Merl",
     "Rgl",
     "Samples",
-    "Source",
     "StandIn",
     "contrast_gloss",
     "describe",

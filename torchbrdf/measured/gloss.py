@@ -12,20 +12,15 @@ import math
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 LIGHT = 30.0
 FRACTION = 0.3
 STEP = 0.02
-LARGEST = 119.0
+LARGEST_ANGLE = 119.0
 """Scanned from the mirror direction over the normal to 89 degrees on the light's side."""
-
-
-def luminance(values: Tensor) -> Tensor:
-    """Rec. 709 luminance of linear RGB, `(..., 3)` to `(...)`."""
-    return values @ values.new_tensor(LUMINANCE)
 
 
 def distinctness_of_image(measured: Measured) -> Tensor:
@@ -35,7 +30,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
     between steps of 0.02 degrees; 119 where it never falls so far, nan where there is no light to begin with. Small
     for sharp lobes.
     """
-    off = torch.arange(0, LARGEST + STEP / 2, STEP, dtype=torch.float64)
+    off = torch.arange(0, LARGEST_ANGLE + STEP / 2, STEP, dtype=torch.float64)
     along = _luminance(measured, torch.full_like(off, LIGHT), off - LIGHT)
     start = along[:, 0]
     ratio = along / start[:, None]
@@ -43,7 +38,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
     after = below.to(torch.int8).argmax(-1).clamp_min(1)[:, None]
     high, low = ratio.gather(-1, after - 1), ratio.gather(-1, after)
     angle = off[after] - STEP * (FRACTION - low) / (high - low)
-    angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST)[:, 0]
+    angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST_ANGLE)[:, 0]
     return torch.where(start > 0, angle, torch.nan)
 
 

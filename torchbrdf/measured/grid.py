@@ -25,7 +25,7 @@ def chunks(pairs: Pairs) -> Iterator[tuple[slice, Pairs]]:
         yield part, pairs.select(samples=part)
 
 
-def nearest(position: Sequence[Tensor], shape: Sequence[int]) -> Tensor:
+def nearest_rows(position: Sequence[Tensor], shape: Sequence[int]) -> Tensor:
     """The row nearest to each position, `(N,)`; positions beyond the grid are moved to its edge."""
     index = torch.zeros_like(position[0], dtype=torch.int32)
     for x, size in zip(position, shape, strict=True):
@@ -57,7 +57,7 @@ def interpolate(
 ) -> tuple[Tensor, Tensor]:
     """Values `(N, 3)` from the valid neighbours, and where there are none, `(N,)`."""
     if interpolation == "nearest":
-        rows = table[nearest(position, shape)]
+        rows = table[nearest_rows(position, shape)]
     else:
         rows = weighted_rows(table, *neighbours(position, shape))
     return normalized(rows)

@@ -16,7 +16,7 @@ from torchbrdf.registry import Registry, unknown
 
 Interpolation = Literal["linear", "nearest"]
 
-FORMATS: Registry[type["Source"]] = Registry("format", "torchbrdf.measured")
+FORMATS: Registry[type["BrdfFormat"]] = Registry("format", "torchbrdf.measured")
 
 
 class Lookup(NamedTuple):
@@ -26,7 +26,7 @@ class Lookup(NamedTuple):
     filled: Tensor
 
 
-class Source(ABC):
+class BrdfFormat(ABC):
     """The data of M materials in one format. A format is a file with a registered subclass of this.
 
     `pairs` are the directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`. `suffixes` are those that
@@ -47,7 +47,7 @@ class Source(ABC):
 
     @classmethod
     @abstractmethod
-    def open(cls, paths: Sequence[Path]) -> "Source":
+    def open(cls, paths: Sequence[Path]) -> "BrdfFormat":
         """Open files that `recognises` said yes to; a DataError names the first that is bad."""
 
     @abstractmethod
@@ -63,7 +63,7 @@ class Source(ABC):
         return {}
 
 
-class Samples(Source):
+class Samples(BrdfFormat):
     """Values that somebody already has as tensors: exactly where they were measured and nowhere else."""
 
     format = "samples"
@@ -111,7 +111,7 @@ class Measured:
 
     def __init__(
         self,
-        source: Source,
+        source: BrdfFormat,
         materials: Sequence[int] | None = None,
         samples: Tensor | None = None,
         max_theta: float = 90.0,

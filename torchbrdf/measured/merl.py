@@ -17,24 +17,26 @@ from torch import Tensor
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.files import replacing
 from torchbrdf.measured.catalogue import merl_name
-from torchbrdf.measured.grid import chunks, nearest, nearest_valid, neighbours, normalized, weighted_rows
-from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
+from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
 
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)
 HEADER = struct.Struct("<3i")
 BYTES = HEADER.size + 3 * 8 * COUNT
-SCALE = (1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)
+CHANNEL_FACTORS = (1.0, 1.15, 1.66)
+CHANNEL_SCALES = tuple(factor / 1500 for factor in CHANNEL_FACTORS)
+"""What the entries of a file, red, green and blue, are multiplied by to be in 1/sr."""
 
-FEW = 1 << 15
+LARGEST_DIRECT_LOOKUP = 1 << 15
 """Up to so many pairs, their neighbours are read from the file; for more, the whole table is."""
 TABLES = 12
 """Whole tables kept in memory, 23 MB each in float32."""
 
 
 @FORMATS.register("merl")
-class Merl(Source):
+class Merl(BrdfFormat):
     """MERL `.binary` files: memory-mapped, 35 MB each; only what is asked for is read.
 
     Bin i covers [i, i+1), and its value is that of its centre: theta_h = ((i+0.5)/90)^2 pi/2, theta_d and phi_d at
@@ -54,7 +56,7 @@ class Merl(Source):
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]
         """The bin centres, `(1, N)`."""
-        return native()
+        return bin_centers()
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -115,7 +117,7 @@ class Merl(Source):
         part = [channel[bins] for channel in self._raw(material)]
         valid = _valid(part) & _above()[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
-        for channel, scale in enumerate(SCALE):
+        for channel, scale in enumerate(CHANNEL_SCALES):
             np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
         rows[:, 3] = 1
         rows[~valid] = 0
@@ -123,7 +125,7 @@ class Merl(Source):
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values and weights at the bin centres, float64; only these bins are read."""
-        bins = _native_rows()[samples].numpy()
+        bins = _bin_rows()[samples].numpy()
         rows = torch.from_numpy(np.stack([self._rows(material, bins) for material in materials]))
         return rows[..., :3], rows[..., 3:]
 
@@ -136,14 +138,14 @@ class Merl(Source):
         """
         values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
         filled = torch.zeros(len(materials), dtype=torch.int64, device=pairs.device)
-        few = len(pairs) <= FEW
+        few = len(pairs) <= LARGEST_DIRECT_LOOKUP
         for part, chunk in chunks(pairs):
             for row, material in enumerate(materials):
                 if row < pairs.shape[0]:
                     own = chunk.select([row])
                     above = own.above[0]
                     position = _position(own)
-                    centre = nearest(position, BINS)
+                    centre = nearest_rows(position, BINS)
                     if interpolation == "nearest":
                         index, weight = centre[:, None], torch.ones_like(position[0])[:, None]
                     else:
@@ -191,7 +193,7 @@ def write_merl(path: str | Path, values: np.ndarray | Tensor) -> None:
         raise ShapeError(f"{path}: expected values (90, 90, 180, 3), found {values.shape}")
     valid = _valid(np.moveaxis(values, -1, 0))
     raw = np.full((3, *BINS), -1.0)
-    for channel, scale in enumerate(SCALE):
+    for channel, scale in enumerate(CHANNEL_SCALES):
         wanted = values[..., channel][valid]
         entry = wanted / scale
         for toward in (-np.inf, np.inf):
@@ -211,7 +213,7 @@ def write_raw(path: str | Path, raw: np.ndarray) -> None:
 
 
 @lru_cache(1)
-def native() -> Pairs:
+def bin_centers() -> Pairs:
     """The centres of the bins with both directions above the horizon, `(1, N)`, in the order of the table."""
     place = np.nonzero(_above().reshape(BINS))
     return Pairs.from_half_diff(
@@ -220,7 +222,7 @@ def native() -> Pairs:
 
 
 @lru_cache(1)
-def _native_rows() -> Tensor:
+def _bin_rows() -> Tensor:
     return torch.from_numpy(np.flatnonzero(_above()))
 
 

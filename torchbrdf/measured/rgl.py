@@ -14,9 +14,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured.grid import chunks, interpolate, nearest_valid, neighbours, weighted_rows
-from torchbrdf.measured.grid import nearest as nearest_row
-from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
+from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
 from torchbrdf.measured.warp import Warp
 from torchbrdf.pairs import Pairs
@@ -29,7 +28,7 @@ TABLES = 32
 """Materials whose tables for `at` are kept, up to 6 MB each in float32."""
 
 
-class Material:
+class RglFile:
     """One file, checked. A stored value is `spectrum = f cos_o 4 sigma(theta_i) / D(h)`, which hardly varies.
 
     theta_i is the elevation of wi, on a few angles; of wo the file knows the half vector, in coordinates
@@ -97,7 +96,7 @@ class Material:
 
 
 @FORMATS.register("rgl")
-class Rgl(Source):
+class Rgl(BrdfFormat):
     """RGL `.bsdf` files, isotropic, RGB. A name is the file's without `_rgb`, which tells it from the spectral file.
 
     `pairs` are the directions of every measured value, wi at the file's theta_i, `(M, N)`; shorter files are padded
@@ -115,7 +114,7 @@ class Rgl(Source):
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)
         self.names = [path.stem.removesuffix("_rgb") for path in paths]
-        self._files = [Material(path) for path in paths]
+        self._files = [RglFile(path) for path in paths]
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
 
@@ -175,7 +174,7 @@ class Rgl(Source):
                 found, missing = interpolate(table, position, shape, interpolation)
                 missing &= above
                 if missing.any():
-                    centre = nearest_row([axis[missing] for axis in position], shape).cpu().numpy()
+                    centre = nearest_rows([axis[missing] for axis in position], shape).cpu().numpy()
                     entries = torch.from_numpy(self._nearest_finite(material)[centre]).to(pairs.device)
                     found[missing] = table[entries, :3]
                     filled[row] += missing.sum()

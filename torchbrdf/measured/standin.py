@@ -12,13 +12,13 @@ from torch import Tensor
 from torchbrdf.errors import DataError, TorchbrdfError
 from torchbrdf.lobes import Sum, model_of, read_fits
 from torchbrdf.measured.grid import chunks
-from torchbrdf.measured.measured import FORMATS, Interpolation, Lookup, Source
-from torchbrdf.measured.merl import native
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
+from torchbrdf.measured.merl import bin_centers
 from torchbrdf.pairs import Pairs
 
 
 @FORMATS.register("fits")
-class StandIn(Source):
+class StandIn(BrdfFormat):
     """Materials that are models: each record of a `fits.json` gives one, and its values are the model's, anywhere.
 
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
@@ -35,7 +35,7 @@ class StandIn(Source):
         self.names = [
             record["material"] if materials.count(record["material"]) == 1 else _full_name(record) for record in records
         ]
-        self.pairs = native()
+        self.pairs = bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
     @classmethod

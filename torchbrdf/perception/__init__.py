@@ -2,15 +2,15 @@
 
 from torchbrdf.perception.agreement.scores import (
     METHODS,
-    Seen,
-    Subjects,
+    BenchmarkData,
+    EvaluatedBrdfs,
     distances,
-    gather,
+    evaluate_brdfs,
     score_opinions,
     score_triplets,
 )
 from torchbrdf.perception.agreement.table import Distances, Table, statistics_of, tabulate
-from torchbrdf.perception.datasets.benchmark_data import read_subjects
+from torchbrdf.perception.datasets.benchmark_data import read_benchmark_data
 from torchbrdf.perception.datasets.factors import FACTORS, FactorFits, FactorModel, read_factors
 from torchbrdf.perception.datasets.lagunas import read_lagunas
 from torchbrdf.perception.datasets.opinions import Opinions, read_opinions
@@ -21,22 +21,22 @@ from torchbrdf.perception.directions import uniform_pairs
 __all__ = [
     "FACTORS",
     "METHODS",
+    "BenchmarkData",
     "Distances",
+    "EvaluatedBrdfs",
     "FactorFits",
     "FactorModel",
     "Opinions",
     "PublishedFits",
-    "Seen",
-    "Subjects",
     "Table",
     "Triplets",
     "distances",
-    "gather",
+    "evaluate_brdfs",
+    "read_benchmark_data",
     "read_factors",
     "read_lagunas",
     "read_opinions",
     "read_published",
-    "read_subjects",
     "read_triplets",
     "score_opinions",
     "score_triplets",

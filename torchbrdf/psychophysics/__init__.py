@@ -2,31 +2,31 @@
 
 from torchbrdf.psychophysics.comparisons import Comparisons
 from torchbrdf.psychophysics.intervals import Method, bootstrap, montag
-from torchbrdf.psychophysics.kendall import Agreement, agreement, circular_triads, consistence
+from torchbrdf.psychophysics.kendall import KendallAgreement, circular_triads, consistence, kendall_agreement
 from torchbrdf.psychophysics.likelihood_ratio import Goodness, goodness
 from torchbrdf.psychophysics.observers import ObserverReport, agreement_with_others, observer_reports
 from torchbrdf.psychophysics.power import observers_needed, power_of
 from torchbrdf.psychophysics.scales import Scales, scale
 from torchbrdf.psychophysics.simulate import simulated_wins
-from torchbrdf.psychophysics.thurstone import PRIOR, least_squares, most_likely
+from torchbrdf.psychophysics.thurstone import PRIOR, least_squares, map_estimate
 
 __all__ = [
     "PRIOR",
-    "Agreement",
     "Comparisons",
     "Goodness",
+    "KendallAgreement",
     "Method",
     "ObserverReport",
     "Scales",
-    "agreement",
     "agreement_with_others",
     "bootstrap",
     "circular_triads",
     "consistence",
     "goodness",
+    "kendall_agreement",
     "least_squares",
+    "map_estimate",
     "montag",
-    "most_likely",
     "observer_reports",
     "observers_needed",
     "power_of",

@@ -5,18 +5,18 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
+from torchbrdf.bootstrap import resample_counts
 from torchbrdf.psychophysics.comparisons import Comparisons, connected
 from torchbrdf.psychophysics.thurstone import (
     PRIOR,
     centred,
     covariance,
-    gauge,
     laplacian,
     least_squares,
     maximum,
-    scores,
-    shares,
+    null_space_projector,
+    score_function,
+    win_rates,
 )
 from torchbrdf.registry import unknown
 
@@ -61,13 +61,15 @@ def covariances(comparisons: Comparisons, scale: Tensor, method: Method, prior: 
     compared = comparisons.compared
     if method == "likelihood":
         by_model = gives = covariance(compared, scale, prior)
-        pulls = scores(comparisons.wins, scale)
+        pulls = score_function(comparisons.wins, scale)
     else:
-        share = shares(comparisons.total, compared)
+        share = win_rates(comparisons.total, compared)
         z = torch.special.ndtri(share)
         density = torch.exp(-0.5 * z.square()) / (2 * torch.pi) ** 0.5
         per_answer = (compared > 0) / (compared.clamp(min=1) * density)
-        gives = centred(torch.linalg.inv(laplacian((compared > 0).to(share)) + gauge(compared)), compared)
+        gives = centred(
+            torch.linalg.inv(laplacian((compared > 0).to(share)) + null_space_projector(compared)), compared
+        )
         by_model = gives @ laplacian(compared * per_answer.square() * share * (1 - share)) @ gives
         asked = comparisons.wins + comparisons.wins.mT
         pulls = ((comparisons.wins - share * asked) * per_answer).sum(-1)
@@ -88,18 +90,13 @@ def bootstrap(
 
     Source: B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993.
     """
-    if draws < 0:
-        raise UsageError(f"bootstrap: draws: expected 0 or more, found {draws}")
     observers, materials, n, _ = comparisons.wins.shape
-    drawn = torch.randint(observers, (draws, observers), generator=torch.Generator().manual_seed(seed))
-    often = torch.zeros(draws, observers, dtype=torch.float64).scatter_add_(
-        1, drawn, torch.ones(draws, observers, dtype=torch.float64)
-    )
+    counts = resample_counts(observers, draws, seed).double()
     wins, present = comparisons.wins.reshape(observers, -1), comparisons.present
     scales = torch.empty(draws, materials, n, dtype=torch.float64)
     chunk = max(1, CHUNK // (materials * n * n))
     for first in range(0, draws, chunk):
-        won = (often[first : first + chunk] @ wins).reshape(-1, materials, n, n)
+        won = (counts[first : first + chunk] @ wins).reshape(-1, materials, n, n)
         compared = won + won.mT
         whole = connected(compared) & ((compared > 0).any(-1) == present).all(-1)
         scales[first : first + chunk] = fitted(won, method, prior).masked_fill(~whole[..., None], torch.nan)

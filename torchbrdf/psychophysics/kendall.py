@@ -14,7 +14,7 @@ from torchbrdf.psychophysics.comparisons import Comparisons
 
 
 @dataclass(frozen=True)
-class Agreement:
+class KendallAgreement:
     """Kendall's coefficient of agreement u of each material, and its test against chance: all `(M,)`.
 
     u is 1 where all observers agree, 0 on average where they choose by chance, and least at -1/(m - 1) or -1/m. The
@@ -28,7 +28,7 @@ class Agreement:
     p: Tensor
 
 
-def agreement(comparisons: Comparisons) -> Agreement:
+def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
     """How far observers agree about each material; those without an answer to a material are left out there.
 
     u = 2 S / (C(m, 2) C(n, 2)) - 1 with m observers, n stimuli and S the sum of C(w_ij, 2) over ordered pairs.
@@ -51,7 +51,7 @@ def agreement(comparisons: Comparisons) -> Agreement:
     chi_square = (4 / (m - 2) * (agreeing - 1 - chance)).clamp(min=0).masked_fill(~tested, torch.nan)
     dof = (pairs * m * (m - 1) / (m - 2).square()).masked_fill(~tested, torch.nan)
     p = torch.from_numpy(stats.chi2.sf(chi_square.numpy(), dof.numpy())).reshape(u.shape)
-    return Agreement(u.masked_fill(~whole | (m < 2), torch.nan), chi_square, dof, p)
+    return KendallAgreement(u.masked_fill(~whole | (m < 2), torch.nan), chi_square, dof, p)
 
 
 def complete(wins: Tensor) -> Tensor:

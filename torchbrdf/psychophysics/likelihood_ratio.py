@@ -56,6 +56,6 @@ def goodness(
 
 def likelihood_ratio(wins: Tensor, scale: Tensor) -> Tensor:
     """G^2 `(...)` of wins `(..., n, n)` and a scale `(..., n)`; see `goodness`."""
-    apart = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
+    difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
     share = wins / (wins + wins.mT).clamp(min=1)
-    return 2 * (torch.special.xlogy(wins, share) - wins * torch.special.log_ndtr(apart)).sum((-2, -1))
+    return 2 * (torch.special.xlogy(wins, share) - wins * torch.special.log_ndtr(difference)).sum((-2, -1))

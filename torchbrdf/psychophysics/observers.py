@@ -12,7 +12,7 @@ from torch import Tensor
 from torchbrdf.psychophysics.comparisons import Comparisons, one_experiment
 from torchbrdf.psychophysics.intervals import CHUNK
 from torchbrdf.psychophysics.kendall import circular_triads, consistence, triads_by_chance
-from torchbrdf.psychophysics.thurstone import PRIOR, most_likely
+from torchbrdf.psychophysics.thurstone import PRIOR, map_estimate
 from torchbrdf.study.answers import Answer, by_observer
 from torchbrdf.study.plan import MEASURED
 
@@ -127,11 +127,11 @@ def _likelihoods(comparisons: Comparisons, prior: float) -> Tensor:
     n = total.shape[-1]
     chunk = max(1, CHUNK // (len(total) * n * n))
     for own in comparisons.wins.split(chunk):
-        scale, covariance = most_likely(total - own, prior)
+        scale, covariance = map_estimate(total - own, prior)
         single = covariance.diagonal(dim1=-2, dim2=-1)
         variance = single.unsqueeze(-1) + single.unsqueeze(-2) - 2 * covariance
-        apart = (scale.unsqueeze(-1) - scale.unsqueeze(-2)) / (1 + variance.clamp(min=0)).sqrt()
-        log = torch.special.log_ndtr(apart.nan_to_num())
+        difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)) / (1 + variance.clamp(min=0)).sqrt()
+        log = torch.special.log_ndtr(difference.nan_to_num())
         chance, asked = log.exp(), own + own.mT
         likelihood = (own * log).sum((-3, -2, -1))
         expected = (asked * chance * log).sum((-3, -2, -1))

@@ -83,8 +83,8 @@ def _about(difference: float, power: float, alpha: float, stimuli: int) -> float
 def _sigma(difference: float, stimuli: int) -> float:
     """Standard deviation of the difference of the two at the ends, from one observer's answers to all pairs."""
     places = np.linspace(0, abs(difference), stimuli)
-    apart = places[:, None] - places
-    weights = np.exp(2 * stats.norm.logpdf(apart) - stats.norm.logcdf(apart) - stats.norm.logcdf(-apart))
+    gaps = places[:, None] - places
+    weights = np.exp(2 * stats.norm.logpdf(gaps) - stats.norm.logcdf(gaps) - stats.norm.logcdf(-gaps))
     np.fill_diagonal(weights, 0)
     # 1 / n everywhere makes it invertible, and leaves differences as they are.
     matrix = np.diag(weights.sum(1)) - weights + 1 / stimuli

@@ -84,7 +84,7 @@ def scale(
       98 %); a difference of neighbours 1 apart, 95 to 98 %; with 8 or 10 observers, 96 to 97.3 %;
     - 93.5 to 97 % if observers have preferences of their own, a standard deviation of 0.5 for each stimulus; by the
       model's variance alone, as low as 80 %;
-    - 90 to 98 % with neighbours 1.5 to 2 apart: the ends of a scale are then drawn inwards, see `most_likely`.
+    - 90 to 98 % with neighbours 1.5 to 2 apart: the ends of a scale are then drawn inwards, see `map_estimate`.
     Percentiles of a bootstrap over 10 to 20 observers held it 93 % of the time at best, and 81 % at worst.
     By method "least_squares" they hold for scales that span 2 units at most; beyond, its bias makes them worthless.
 

@@ -10,8 +10,8 @@ def simulated_wins(scale: Tensor, compared: Tensor, generator: torch.Generator) 
     scale `(..., n)`, nan where a stimulus is not compared; compared `(..., n, n)`, symmetric counts. Their leading
     shapes are broadcast.
     """
-    apart = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
+    difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
     # Above the diagonal only: each pair is drawn once.
-    chance, count = torch.broadcast_tensors(torch.special.ndtr(apart), compared.triu(1))
+    chance, count = torch.broadcast_tensors(torch.special.ndtr(difference), compared.triu(1))
     won = torch.binomial(count.contiguous(), chance.contiguous(), generator=generator)
     return won + (count - won).mT

@@ -37,15 +37,15 @@ def least_squares(wins: Tensor) -> Tensor:
     """
     compared = checked(wins)
     whole = connected(compared)
-    z = torch.special.ndtri(shares(wins, compared)) * (compared > 0)
-    matrix = laplacian((compared > 0).to(wins)) + gauge(compared)
+    z = torch.special.ndtri(win_rates(wins, compared)) * (compared > 0)
+    matrix = laplacian((compared > 0).to(wins)) + null_space_projector(compared)
     # Parts that are not linked make it singular.
     matrix = torch.where(whole[..., None, None], matrix, torch.eye(wins.shape[-1], dtype=wins.dtype))
     scale = torch.linalg.solve(matrix, z.sum(-1))
     return scale.masked_fill(~(whole[..., None] & (compared > 0).any(-1)), torch.nan)
 
 
-def most_likely(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
+def map_estimate(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
     """The scale `(..., n)` of the greatest posterior density, and its covariance `(..., n, n)`; wins `(..., n, n)`.
 
     The maximum of sum_ij w_ij log Phi(s_i - s_j) - sum_i s_i^2 / (2 sigma^2), which is concave. Some pairs may be
@@ -67,7 +67,7 @@ def most_likely(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
 
 
 def maximum(wins: Tensor, prior: float = PRIOR) -> Tensor:
-    """The scale of `most_likely` alone, by Newton's method from 0.
+    """The scale of `map_estimate` alone, by Newton's method from 0.
 
     Of some 360 000 problems made to be hard (unbalanced counts of up to a million, next to no prior), none needed
     shorter steps. One that did not end would be nan.
@@ -75,15 +75,15 @@ def maximum(wins: Tensor, prior: float = PRIOR) -> Tensor:
     compared = checked(wins)
     n = wins.shape[-1]
     counts, pairs = wins.reshape(-1, n, n), compared.reshape(-1, n, n)
-    precision, fixed = prior_precision(pairs, prior)[:, None], gauge(pairs)
+    precision, fixed = prior_precision(pairs, prior)[:, None], null_space_projector(pairs)
     scale = torch.zeros(len(counts), n, dtype=wins.dtype)
     rows = torch.arange(len(counts))
     for _ in range(ITERATIONS):
         at, held = scale[rows], precision[rows]
-        apart = at.unsqueeze(-1) - at.unsqueeze(-2)
-        hazard = _hazard(apart)
+        difference = at.unsqueeze(-1) - at.unsqueeze(-2)
+        hazard = _hazard(difference)
         slope = counts[rows] * hazard
-        curve = slope * (apart + hazard)
+        curve = slope * (difference + hazard)
         gradient = slope.sum(-1) - slope.sum(-2) - held * at
         matrix = laplacian(curve + curve.mT) + fixed[rows]
         matrix.diagonal(dim1=-2, dim2=-1).add_(held)
@@ -102,30 +102,32 @@ def covariance(compared: Tensor, scale: Tensor, prior: float = PRIOR) -> Tensor:
     The inverse of the Laplacian of N_ij phi(d)^2 / (Phi(d) Phi(-d)), d = s_i - s_j, plus the prior's precision, where
     the mean is 0; nan for stimuli that were not compared.
     """
-    apart = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
-    matrix = laplacian(compared * information(apart)) + gauge(compared)
+    difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
+    matrix = laplacian(compared * information(difference)) + null_space_projector(compared)
     matrix.diagonal(dim1=-2, dim2=-1).add_(prior_precision(compared, prior)[..., None])
     return centred(torch.linalg.inv(matrix), compared)
 
 
-def information(apart: Tensor) -> Tensor:
+def information(difference: Tensor) -> Tensor:
     """The expected information of one comparison about the difference d: phi(d)^2 / (Phi(d) Phi(-d))."""
-    return torch.exp(-apart.square() - 2 * _LOG_ROOT - torch.special.log_ndtr(apart) - torch.special.log_ndtr(-apart))
+    return torch.exp(
+        -difference.square() - 2 * _LOG_ROOT - torch.special.log_ndtr(difference) - torch.special.log_ndtr(-difference)
+    )
 
 
-def scores(wins: Tensor, scale: Tensor) -> Tensor:
+def score_function(wins: Tensor, scale: Tensor) -> Tensor:
     """The gradient `(..., n)` of the log-likelihood of wins `(..., n, n)` at a scale `(..., n)`, without the prior."""
-    apart = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
-    slope = wins * _hazard(apart)
+    difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
+    slope = wins * _hazard(difference)
     return slope.sum(-1) - slope.sum(-2)
 
 
-def _hazard(apart: Tensor) -> Tensor:
+def _hazard(difference: Tensor) -> Tensor:
     """phi(d) / Phi(d), the derivative of log Phi(d)."""
-    return torch.exp(-0.5 * apart.square() - _LOG_ROOT - torch.special.log_ndtr(apart))
+    return torch.exp(-0.5 * difference.square() - _LOG_ROOT - torch.special.log_ndtr(difference))
 
 
-def shares(wins: Tensor, compared: Tensor) -> Tensor:
+def win_rates(wins: Tensor, compared: Tensor) -> Tensor:
     """The share of wins of each pair, from 1/(2N) to 1 - 1/(2N); 1/2 where it was not compared."""
     count = compared.clamp(min=1)
     share = torch.where(compared > 0, wins / count, 0.5)
@@ -138,7 +140,7 @@ def laplacian(weights: Tensor) -> Tensor:
     return torch.diag_embed(weights.sum(-1)) - weights
 
 
-def gauge(compared: Tensor) -> Tensor:
+def null_space_projector(compared: Tensor) -> Tensor:
     """What makes Laplacians `(..., n, n)` invertible and leaves their solutions with a mean of 0.
 
     1/n between stimuli that were compared with any other; 1 on the diagonal of the rest.
@@ -150,13 +152,13 @@ def gauge(compared: Tensor) -> Tensor:
 
 def centred(matrix: Tensor, compared: Tensor) -> Tensor:
     """Covariances `(..., n, n)` without the mean's part; nan for stimuli that were not compared."""
-    keep = torch.eye(matrix.shape[-1], dtype=matrix.dtype) - gauge(compared)
+    keep = torch.eye(matrix.shape[-1], dtype=matrix.dtype) - null_space_projector(compared)
     absent = ~(compared > 0).any(-1)
     return (keep @ matrix @ keep).masked_fill(absent.unsqueeze(-1) | absent.unsqueeze(-2), torch.nan)
 
 
 def prior_precision(compared: Tensor, prior: float) -> Tensor:
-    """The prior's precision 1 / sigma^2 of each scale value, `(...)`; see `most_likely`."""
+    """The prior's precision 1 / sigma^2 of each scale value, `(...)`; see `map_estimate`."""
     if not 0 < prior <= LARGEST_PRIOR:
         raise UsageError(f"prior: expected more than 0 and at most {LARGEST_PRIOR}, found {prior}")
     count = (compared > 0).any(-1).sum(-1).clamp(min=2)

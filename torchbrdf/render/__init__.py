@@ -2,15 +2,16 @@
 
 from torchbrdf.render.draw import render
 from torchbrdf.render.light.environment import Environment
-from torchbrdf.render.light.punctual import DirectionalLight, PointLight, parse_lamp
+from torchbrdf.render.light.punctual import DirectionalLight, PointLight, parse_light
 from torchbrdf.render.loss import RenderedLoss
-from torchbrdf.render.raster.camera import View
+from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh, blob, find_mesh, sphere
 from torchbrdf.render.scene import Scene
 from torchbrdf.render.transport.cache import cache_folder
 from torchbrdf.render.transport.transport import Transport
 
 __all__ = [
+    "Camera",
     "DirectionalLight",
     "Environment",
     "Mesh",
@@ -18,11 +19,10 @@ __all__ = [
     "RenderedLoss",
     "Scene",
     "Transport",
-    "View",
     "blob",
     "cache_folder",
     "find_mesh",
-    "parse_lamp",
+    "parse_light",
     "render",
     "sphere",
 ]

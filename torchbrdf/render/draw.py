@@ -11,7 +11,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render.scene import Chunk, Scene
 
 # Measured tables that are open at once.
@@ -38,7 +38,7 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     for run in runs:
         shaders = [(owner, shader) for owner, own in enumerate(run) for shader in own]
         drawn: list[Tensor] = []
-        for pixel, parts in each(partial(_light, [shader for _, shader in shaders]), scene.jobs()):
+        for pixel, parts in thread_map(partial(_light, [shader for _, shader in shaders]), scene.jobs()):
             drawn = drawn or [torch.zeros(len(part), scene.size**2, 3) for part in parts]
             for picture, part in zip(drawn, parts, strict=True):
                 picture[:, pixel] += part

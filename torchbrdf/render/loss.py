@@ -6,8 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import UsageError
-from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, displayed, luminance, measured
+from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, log_average_and_white, tonemap
 from torchbrdf.losses import ObservedLoss, Problem
 from torchbrdf.losses.base import Reduction, safe_sqrt
 from torchbrdf.losses.observed import Parabola
@@ -159,5 +160,7 @@ class RenderedLoss(ObservedLoss):
             return pixels
         if self.tone is not None:
             return self.tone(pixels)
-        log_average, white = (part[:, None, None].to(pixels.dtype) for part in measured(luminance(reference.detach())))
-        return displayed(pixels, log_average, white)
+        log_average, white = (
+            part[:, None, None].to(pixels.dtype) for part in log_average_and_white(luminance(reference.detach()))
+        )
+        return tonemap(pixels, log_average, white)

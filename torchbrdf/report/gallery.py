@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from torchbrdf.files import write_text
-from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
 from torchbrdf.images.differences.delta_e import lab
 from torchbrdf.lobes import model_of
-from torchbrdf.parallel import each
+from torchbrdf.parallel import thread_map
 from torchbrdf.render import Scene, render
 from torchbrdf.report.study import Study, picture
 
@@ -45,7 +45,7 @@ class Gallery:
             tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
             self.tones[name] = tone
             for one, linear in zip(self.study.materials, pictures, strict=True):
-                write_png(self.path(name, picture(one)), over(tone(linear), scene.coverage))
+                write_png(self.path(name, picture(one)), composite(tone(linear), scene.coverage))
         record = {name: tone.to_dict() for name, tone in self.tones.items()}
         write_text(self.study.folder.path / "tonemap.json", json.dumps(record, indent=1) + "\n")
 
@@ -64,7 +64,7 @@ class Gallery:
                 zip(study.materials, self._read(name, [picture(one) for one in study.materials]), strict=True)
             )
             compare = partial(self._compare, name, scene, references)
-            for record, found in zip(study.shown, each(compare, study.shown), strict=True):
+            for record, found in zip(study.shown, thread_map(compare, study.shown), strict=True):
                 record.setdefault("pictures", {})[name] = found
                 advance(1)
         study.save()
@@ -88,11 +88,11 @@ class Gallery:
         fit = self.study.picture(record)
         linear = torch.cat([self._read(name, [fit]), references[record["material"]][None]])
         shown = self.tones[name](linear)
-        write_png(self.path(name, fit), over(shown[0], scene.coverage))
+        write_png(self.path(name, fit), composite(shown[0], scene.coverage))
         first, second = lab(shown)
         away = (first - second).square().sum(-1).sqrt() / BRIGHTEST
         colors = torch.from_numpy(matplotlib.colormaps["magma"](away.clamp(0, 1).numpy())[..., :3]).to(linear)
-        write_png(self.path(name, f"map-{fit}"), over(colors, scene.coverage))
+        write_png(self.path(name, f"map-{fit}"), composite(colors, scene.coverage))
         found = {}
         for key in self.differences:
             difference = DIFFERENCES[key]()

@@ -9,9 +9,9 @@ import numpy as np
 
 from torchbrdf.files import write_text
 from torchbrdf.losses import LearnedLoss
-from torchbrdf.perception import FACTORS, Subjects, Table
-from torchbrdf.perception.agreement.table import APART, LABELS, ODD_METHOD
-from torchbrdf.perception.datasets.synthetic import MADE_UP
+from torchbrdf.perception import FACTORS, BenchmarkData, Table
+from torchbrdf.perception.agreement.table import LABELS, LEFT_OUT, ODD_METHOD
+from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.drawing import COLORS, drawing, marked
 from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
@@ -46,10 +46,10 @@ class HumanPage:
     replicates: int
 
 
-def write_human_report(folder: Path, table: Table, subjects: Subjects, said: HumanPage) -> Path:
+def write_human_report(folder: Path, table: Table, subjects: BenchmarkData, said: HumanPage) -> Path:
     """Draw the figure and write `report.html`; gives its path."""
     figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, marked(said.stand_in, MADE_UP if said.made_up else ""))
+    agreement_figure(figure, table, marked(said.stand_in, SYNTHETIC if said.made_up else ""))
     opinions, triplets = subjects.opinions, subjects.triplets
     page = template("human.html").render(
         title=TITLE,
@@ -67,7 +67,7 @@ def write_human_report(folder: Path, table: Table, subjects: Subjects, said: Hum
         approximated=len(set(opinions.materials)),
         methods=list(dict.fromkeys(opinions.methods)),
         without=subjects.left_out,
-        apart=[method for method in APART if method in opinions.methods],
+        apart=[method for method in LEFT_OUT if method in opinions.methods],
         factors=FACTORS,
         odd=ODD_METHOD,
         record=(folder / "recipe.json").read_text(encoding="utf-8"),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.files import write_text
-from torchbrdf.psychophysics import Method, ObserverReport, agreement
+from torchbrdf.psychophysics import Method, ObserverReport, kendall_agreement
 from torchbrdf.recipe import versions
 from torchbrdf.report.claims import claim, confused, mean_scales
 from torchbrdf.report.inline import png, template
@@ -78,7 +78,7 @@ def tables(judged: Judged) -> list[dict[str, Any]]:
 def _scale_table(judged: Judged) -> dict[str, Any]:
     scales = judged.scales
     names = judged.stimuli
-    alike = agreement(judged.comparisons)
+    alike = kendall_agreement(judged.comparisons)
     known = {(record["material"], record["stimulus"]): record for record in scales.records()}
     rows = []
     for name in judged.order:

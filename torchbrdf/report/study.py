@@ -12,7 +12,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_csv
-from torchbrdf.images import DIFFERENCES, ToneMap, over, read_image, write_exr, write_png
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
 from torchbrdf.lobes import LOBES, make_model, model_of, read_fits, write_fits
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image, load_all, standins
@@ -219,14 +219,14 @@ class Study:
         write_text(self.folder.path / "tonemap.json", json.dumps(tone.to_dict(), indent=1) + "\n")
         shown = tone(references)
         for name, display in zip(self.materials, shown, strict=True):
-            write_png(self.png(picture(name)), over(display, scene.coverage))
+            write_png(self.png(picture(name)), composite(display, scene.coverage))
         for name in self.materials:
             display = tone(self._read([picture(name, "turned")]))[0]
-            write_png(self.png(picture(name, "turned")), over(display, turned.coverage))
+            write_png(self.png(picture(name, "turned")), composite(display, turned.coverage))
         measures = {name: DIFFERENCES[name]() for name in SHOWN_DIFFERENCES}
         for record, linear in zip(chosen, fitted, strict=True):
             display = tone(linear)
-            write_png(self.png(self.picture(record)), over(display, scene.coverage))
+            write_png(self.png(self.picture(record)), composite(display, scene.coverage))
             reference = shown[self.materials.index(record["material"])]
             record["differences"] = {
                 key: measure(display[None], reference[None], scene.mask).item() for key, measure in measures.items()

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
-from torchbrdf.images import DIFFERENCES, ToneMap, over
+from torchbrdf.images import DIFFERENCES, ToneMap, composite
 from torchbrdf.measured import Measured, StandIn
-from torchbrdf.render import Environment, Mesh, Scene, View, render
+from torchbrdf.render import Camera, Environment, Mesh, Scene, render
 from torchbrdf.report.inline import template
 from torchbrdf.report.labels import loss_label, model_label
 
@@ -66,13 +66,13 @@ def write_view(
         frames.append([])
         numbers.append([])
         for step in range(steps):
-            scene = Scene(mesh, View(rotation=step * 360 / steps), light, size=size)
+            scene = Scene(mesh, Camera(rotation=step * 360 / steps), light, size=size)
             pictures = render(groups, scene)
             if step == 0:
                 tones.append(ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1])))
             display = tones[-1](pictures)
             numbers[-1].append(_differences(items, display, scene.mask))
-            frames[-1].append([_jpeg(picture) for picture in over(display, scene.coverage)])
+            frames[-1].append([_jpeg(picture) for picture in composite(display, scene.coverage)])
             advance(1)
     write_text(path, _page(items, list(lights), tones, frames, numbers, size))
     return path

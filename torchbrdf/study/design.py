@@ -64,10 +64,10 @@ def chosen_pairs(experiment: Experiment, source: random.Random) -> list[Pair]:
     if experiment.compare is None:
         return list(combinations(experiment.stimuli, 2))
     ring = source.sample(experiment.stimuli, len(experiment.stimuli))
-    return around(ring, experiment.compare)
+    return circulant_pairs(ring, experiment.compare)
 
 
-def around(ring: Sequence[str], compare: int) -> list[Pair]:
+def circulant_pairs(ring: Sequence[str], compare: int) -> list[Pair]:
     """Pairs of neighbours on a ring, then of second neighbours, ..., until each meets `compare` others.
 
     Connected, because neighbours are among them. If the ring and `compare` are odd, one meets one more.

@@ -18,7 +18,7 @@ from werkzeug.exceptions import HTTPException
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.registry import unknown
 from torchbrdf.study.plan import PLAN, TEXTS, Plan, inside
-from torchbrdf.study.store import SIDES, STORE, NotLetInError, NotNowError, State, Store, UnknownObserverError
+from torchbrdf.study.store import SIDES, STORE, IneligibleError, NotNowError, State, Store, UnknownObserverError
 
 PAGES = Path(__file__).parent / "pages"
 KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -158,7 +158,7 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
 
     @app.post("/begin")
     def begin() -> tuple[Response, int]:
-        if sent("agreed")["agreed"] is not True:
+        if json_body("agreed")["agreed"] is not True:
             abort(400, "agreed: expected true")
         return jsonify(link=f"/o/{store.begin(experiment)}"), 201
 
@@ -169,11 +169,11 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
 
     @app.get("/o/<token>/state")
     def state(token: str) -> Response:
-        return jsonify(state=told(store.state(token)))
+        return jsonify(state=state_json(store.state(token)))
 
     @app.post("/o/<token>/profile")
     def profile(token: str) -> Response:
-        reports = sent(*REPORTS)
+        reports = json_body(*REPORTS)
         for key, choices in REPORTS.items():
             if not isinstance(reports[key], str):
                 abort(400, f"{key}: expected text")
@@ -181,26 +181,26 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
                 abort(400, f"{key}: expected one of {', '.join(choices)}")
             if len(reports[key]) > LONGEST_TEXT or not reports[key].isprintable():
                 abort(400, f"{key}: expected a line of at most {LONGEST_TEXT} characters")
-        let_in = all(reports[key] in allowed for key, allowed in plan.screening.items())
-        return jsonify(state=told(store.report(token, reports, let_in)))
+        eligible = all(reports[key] in allowed for key, allowed in plan.screening.items())
+        return jsonify(state=state_json(store.report(token, reports, eligible)))
 
     @app.post("/o/<token>/screen")
     def screen(token: str) -> Response:
-        found = sent(*SCREEN)
+        found = json_body(*SCREEN)
         for key, (low, high) in SCREEN.items():
             if key != "card" or found[key] is not None:
                 number(found, key, low, high)
-        return jsonify(state=told(store.check(token, found)))
+        return jsonify(state=state_json(store.record_screen(token, found)))
 
     @app.post("/o/<token>/answer")
     def answer(token: str) -> Response:
-        record = sent("trial", "side", "response_time")
+        record = json_body("trial", "side", "response_time")
         if type(record["trial"]) is not int:
             abort(400, "trial: expected a whole number")
         if record["side"] not in SIDES:
             abort(400, "side: expected left or right")
         time = number(record, "response_time", 0, LONGEST_RESPONSE)
-        return jsonify(state=told(store.answer(token, record["trial"], record["side"], time)))
+        return jsonify(state=state_json(store.answer(token, record["trial"], record["side"], time)))
 
     @app.get("/o/<token>/<int:trial>/<any(reference, left, right):what>.png")
     def picture(token: str, trial: int, what: str) -> Response:
@@ -214,16 +214,16 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
         return found
 
     app.before_request(same_origin)
-    app.after_request(guarded)
+    app.after_request(security_headers)
     app.register_error_handler(HTTPException, lambda error: problem(error.code or 500, error.description or error.name))
     app.register_error_handler(UnknownObserverError, lambda error: problem(404, str(error)))
-    app.register_error_handler(NotLetInError, lambda error: problem(403, str(error)))
+    app.register_error_handler(IneligibleError, lambda error: problem(403, str(error)))
 
     @app.errorhandler(NotNowError)
     def not_now(error: NotNowError) -> Response:
         # So that a page whose acknowledgment got lost goes on.
         assert request.view_args is not None
-        return problem(409, str(error), state=told(store.state(request.view_args["token"])))
+        return problem(409, str(error), state=state_json(store.state(request.view_args["token"])))
 
     @app.errorhandler(sqlite3.Error)
     @app.errorhandler(OSError)
@@ -263,12 +263,12 @@ def plain_png(data: bytes, path: Path) -> bytes:
     return b"".join(kept)
 
 
-def told(state: State) -> dict[str, Any]:
+def state_json(state: State) -> dict[str, Any]:
     """What a page hears of where its observer is."""
     return {"stage": state.stage, "trial": state.position, "of": state.trials}
 
 
-def sent(*fields: str) -> dict[str, Any]:
+def json_body(*fields: str) -> dict[str, Any]:
     """The JSON object that a page sent, with exactly these fields."""
     if request.mimetype != "application/json":
         abort(415, "expected application/json")
@@ -296,7 +296,7 @@ def same_origin() -> None:
         abort(403, "expected a request from this page")
 
 
-def guarded(response: Response) -> Response:
+def security_headers(response: Response) -> Response:
     response.headers.update(HEADERS)
     response.headers.setdefault("Cache-Control", "no-store")
     return response

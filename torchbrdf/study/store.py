@@ -68,7 +68,7 @@ class NotNowError(UsageError):
     """Something that is not what an observer is to do now, such as an answer given before."""
 
 
-class NotLetInError(UsageError):
+class IneligibleError(UsageError):
     """A trial for someone whose self-reports screen them out."""
 
 
@@ -141,7 +141,7 @@ class Store:
         )
         return Trial(*row.fetchone())
 
-    def report(self, token: str, reports: Mapping[str, Any], let_in: bool) -> State:
+    def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
         with self._writing() as db:
             state = _state(db, token)
@@ -149,11 +149,11 @@ class Store:
                 raise NotNowError("the questions are answered already")
             db.execute(
                 "UPDATE observers SET reports = ?, let_in = ? WHERE id = ?",
-                (json.dumps(reports), let_in, state.observer),
+                (json.dumps(reports), eligible, state.observer),
             )
-        return replace(state, stage="screen" if let_in else "screened")
+        return replace(state, stage="screen" if eligible else "screened")
 
-    def check(self, token: str, screen: Mapping[str, Any]) -> State:
+    def record_screen(self, token: str, screen: Mapping[str, Any]) -> State:
         """Record what an observer's screen is like, once."""
         with self._writing() as db:
             state = _state(db, token)
@@ -172,7 +172,7 @@ class Store:
         with self._writing() as db:
             state = _state(db, token)
             if state.stage == "screened":
-                raise NotLetInError("there are no trials for you")
+                raise IneligibleError("there are no trials for you")
             if state.stage != "trials" or position != state.position:
                 raise NotNowError("this is not the trial to answer now")
             row = (state.observer, position, side, float(response_time), now())
@@ -207,13 +207,13 @@ class Store:
                 "number": number,
                 "seed": int(seed),
                 "consented": consented,
-                "let_in": None if let_in is None else bool(let_in),
+                "let_in": None if eligible is None else bool(eligible),
                 "reports": None if reports is None else json.loads(reports),
                 "screen": None if screen is None else json.loads(screen),
                 "trials": count,
                 "answered": answered,
             }
-            for who, experiment, number, seed, consented, let_in, reports, screen, count, answered in rows
+            for who, experiment, number, seed, consented, eligible, reports, screen, count, answered in rows
         ]
 
     def counts(self, experiment: str) -> tuple[int, int]:
@@ -297,10 +297,10 @@ def _state(db: sqlite3.Connection, token: str) -> State:
     ).fetchone()
     if row is None:
         raise UnknownObserverError("this link is not known")
-    observer, count, let_in, checked, position = row
-    if let_in is None:
+    observer, count, eligible, checked, position = row
+    if eligible is None:
         stage: Stage = "questions"
-    elif not let_in:
+    elif not eligible:
         stage = "screened"
     elif not checked:
         stage = "screen"

@@ -5,6 +5,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchbrdf.color import safe_power
 from torchbrdf.errors import ShapeError
 from torchbrdf.registry import Registry
 
@@ -107,12 +108,6 @@ class PixelDifference(Difference):
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Mean of `(B, H, W)` over the pixels of the mask, `(B,)`."""
     return torch.where(mask, values, 0).sum((-2, -1)) / mask.sum((-2, -1))
-
-
-def safe_power(x: Tensor, exponent: float) -> Tensor:
-    """x^exponent, with value and gradient 0 at 0 and below, where that of an exponent below 1 is infinite or nan."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1).pow(exponent), 0 * x)  # 0 * x: nan stays nan
 
 
 def channels_first(picture: Tensor) -> Tensor:

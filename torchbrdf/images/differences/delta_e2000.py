@@ -5,7 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean, safe_power
+from torchbrdf.color import safe_power
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean
 from torchbrdf.images.differences.delta_e import lab
 
 # Colours of less chroma have no hue. Far below what can be seen, far above where float32 loses its square.

@@ -7,8 +7,9 @@ from kornia.color import rgb_to_linear_rgb
 from torch import Tensor
 from torch.nn import functional
 
+from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean, safe_power
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean
 
 # Linear sRGB to XYZ, IEC 61966-2-1, exact, as the source has it; kornia's is rounded. Relative to white, (1, 1, 1).
 _XYZ = torch.tensor(

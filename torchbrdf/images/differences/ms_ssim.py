@@ -4,7 +4,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, safe_power
+from torchbrdf.color import safe_power
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first
 
 _TAPS, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2

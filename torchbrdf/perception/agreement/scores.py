@@ -22,7 +22,7 @@ _SEEN = 2**23
 _MATERIALS = 8
 
 METHODS = {"WARD": "ngan_ward", "BLINN-PHONG": "ngan_blinnphong", "SGD": "bagher_sgd", "ABC": "low_lowmicrofacet_E2"}
-"""Methods of the opinions whose parameters are published, and the set of `perception.datasets.published` that has them."""
+"""Methods of the opinions whose parameters are published, and their sets in `perception.datasets.published`."""
 
 
 class Approximation(Protocol):
@@ -36,7 +36,7 @@ class Approximation(Protocol):
 
 
 @dataclass(frozen=True)
-class Subjects:
+class BenchmarkData:
     """What people were asked about, as BRDFs: the materials, and approximations of some of them.
 
     measured: has all materials of the triplets, by name. approximations: by method. Rows of the opinions of other
@@ -98,7 +98,7 @@ class Subjects:
 
 
 @dataclass(frozen=True)
-class Seen:
+class EvaluatedBrdfs:
     """What losses compare: materials `(K, n, 3)` in the order of the triplets' names, and approximations `(R, n, 3)` in
     that of the opinions' rows. `target` is the place of each approximation's material, `(R,)`.
 
@@ -111,23 +111,23 @@ class Seen:
     pairs: Pairs | None
 
 
-def gather(subjects: Subjects, pairs: Pairs, through: ObservedLoss | None = None) -> Seen:
+def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ObservedLoss | None = None) -> EvaluatedBrdfs:
     """The values of all that people were asked about on some pairs, `(N,)` or `(1, N)`, once for all losses.
 
     through: keep not the values but what this loss observes of them; `pairs` are then those of its scene.
     """
-    names = subjects.names
+    names = data.names
     place = {name: k for k, name in enumerate(names)}
     step = len(names) if through is None else _MATERIALS
-    rows = list(range(len(subjects.opinions)))
+    rows = list(range(len(data.opinions)))
     view = (lambda values: values) if through is None else through.observe
-    return Seen(
-        torch.cat([view(subjects.references(pairs, names[k : k + step])) for k in range(0, len(names), step)]),
+    return EvaluatedBrdfs(
+        torch.cat([view(data.references(pairs, names[k : k + step])) for k in range(0, len(names), step)]),
         torch.cat(
-            [view(subjects.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
+            [view(data.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
             or [pairs.cos_i.new_empty(0, len(pairs), 3)]
         ),
-        torch.tensor([place[name] for name in subjects.opinions.materials], dtype=torch.long),
+        torch.tensor([place[name] for name in data.opinions.materials], dtype=torch.long),
         pairs if through is None else None,
     )
 
@@ -155,7 +155,7 @@ def distances(
     return found
 
 
-def score_triplets(loss: Loss, seen: Seen, triplets: Triplets) -> Tensor:
+def score_triplets(loss: Loss, seen: EvaluatedBrdfs, triplets: Triplets) -> Tensor:
     """Distances of the candidates from the reference, `(K, K)` float64 at [reference, candidate]; nan where no question
     asks for one. The candidate is the prediction, the reference the target."""
     count = len(triplets.materials)
@@ -168,7 +168,7 @@ def score_triplets(loss: Loss, seen: Seen, triplets: Triplets) -> Tensor:
     return matrix.unflatten(0, (count, count))
 
 
-def score_opinions(loss: Loss, seen: Seen) -> Tensor:
+def score_opinions(loss: Loss, seen: EvaluatedBrdfs) -> Tensor:
     """Distances of the approximations from their materials, `(R,)` float64. The material is the target."""
     rows = torch.arange(len(seen.approximations))
     return distances(loss, seen.approximations, seen.materials, seen.pairs, rows, seen.target)

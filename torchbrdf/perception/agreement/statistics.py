@@ -15,7 +15,7 @@ _HELD = 2**26
 
 
 @dataclass(frozen=True)
-class Comparisons:
+class DistanceComparisons:
     """C comparisons of two distances, of which people found one to be smaller.
 
     nearer, farther: of each comparison, the places of the smaller and of the larger distance in a vector of distances,
@@ -33,13 +33,13 @@ class Comparisons:
     def __len__(self) -> int:
         return len(self.nearer)
 
-    def right(self, distances: Tensor) -> Tensor:
+    def concordant(self, distances: Tensor) -> Tensor:
         """Which comparisons each of L sets of distances `(L, n)` orders right, `(L, C)` float64: 1, 0, or 0.5 for equal
         distances. A distance that is not a number is always wrong."""
         near, far = distances[:, self.nearer], distances[:, self.farther]
         return (near < far).double() + 0.5 * (near == far).double()
 
-    def share(self, right: Tensor, resamples: Tensor | None = None) -> Tensor:
+    def agreement_rate(self, concordant: Tensor, resamples: Tensor | None = None) -> Tensor:
         """The weighted share of comparisons that are right, `(L,)` of `(L, C)`; of each of B resamples, `(B, L)`.
 
         resamples: how often each material was drawn, `(B, K)`. A comparison counts once for every way to choose its
@@ -49,7 +49,7 @@ class Comparisons:
         if not groups:
             raise UsageError("no comparisons to take a share of")
         if resamples is None:
-            return self._share(right, self.weight[None], groups)[0]
+            return self._agreement_rate(concordant, self.weight[None], groups)[0]
         # One more, undrawn material, of multiplicity 1, stands where there is none.
         times = torch.cat([resamples.double(), torch.ones(len(resamples), 1, dtype=torch.float64)], 1)
         parts = []
@@ -57,19 +57,19 @@ class Comparisons:
             weight = self.weight.expand(len(part), -1).clone()
             for column in self.materials.unbind(1):
                 weight *= part[:, column]
-            parts.append(self._share(right, weight, groups))
+            parts.append(self._agreement_rate(concordant, weight, groups))
         return torch.cat(parts)
 
-    def _share(self, right: Tensor, weight: Tensor, groups: int) -> Tensor:
+    def _agreement_rate(self, concordant: Tensor, weight: Tensor, groups: int) -> Tensor:
         shares = []
         for group in range(groups):
             inside = (self.group == group).nonzero()[:, 0]
             own = weight if groups == 1 else weight[:, inside]
-            shares.append(own @ (right if groups == 1 else right[:, inside]).T / own.sum(1, keepdim=True))
+            shares.append(own @ (concordant if groups == 1 else concordant[:, inside]).T / own.sum(1, keepdim=True))
         return torch.stack(shares).nanmean(0)  # a resample may lack a group
 
 
-def majorities(triplets: Triplets) -> Comparisons:
+def majorities(triplets: Triplets) -> DistanceComparisons:
     """One comparison a question that is no tie: its larger vote is for the nearer candidate.
 
     Distances are those of a matrix `(K, K)`, flattened: reference times K plus candidate.
@@ -79,31 +79,31 @@ def majorities(triplets: Triplets) -> Comparisons:
     return _triples(chosen, swap, torch.ones(len(chosen), dtype=torch.float64))
 
 
-def single_votes(triplets: Triplets) -> Comparisons:
+def single_votes(triplets: Triplets) -> DistanceComparisons:
     """One comparison for every vote of every question, ties too; distances as for `majorities`."""
     first, second = (
         _triples(triplets, torch.full((len(triplets),), bool(k)), triplets.votes[:, k].double()) for k in (0, 1)
     )
-    return Comparisons(
+    return DistanceComparisons(
         *(torch.cat(pair) for pair in zip(vars(first).values(), vars(second).values(), strict=True)),
     )
 
 
-def same_material(opinions: Opinions, *, apart: bool = False) -> Comparisons:
+def same_material(opinions: Opinions, *, well_separated: bool = False) -> DistanceComparisons:
     """Pairs of methods that approximate one material and whose opinions differ; distances are one a row of opinions.
 
-    apart: only those that differ by more than two standard errors of the difference, sqrt(se1^2 + se2^2).
+    well_separated: only those that differ by more than two standard errors of the difference, sqrt(se1^2 + se2^2).
     """
-    material = _numbered(opinions.materials)
+    material = _label_indices(opinions.materials)
     first, second = _pairs(material)
     difference = opinions.distance[first] - opinions.distance[second]
-    keep = difference.abs() > (2 * _spread(opinions, first, second) if apart else 0)
+    keep = difference.abs() > (2 * _spread(opinions, first, second) if well_separated else 0)
     return _rows(opinions, first[keep], second[keep], material, None)
 
 
-def across_materials(opinions: Opinions) -> Comparisons:
+def across_materials(opinions: Opinions) -> DistanceComparisons:
     """Pairs of materials under one method whose opinions differ: a group for each method."""
-    method, material = _numbered(opinions.methods), _numbered(opinions.materials)
+    method, material = _label_indices(opinions.methods), _label_indices(opinions.materials)
     first, second = _pairs(method)
     keep = opinions.distance[first] != opinions.distance[second]
     return _rows(opinions, first[keep], second[keep], material, method)
@@ -117,7 +117,7 @@ def majority_of_votes(triplets: Triplets) -> Tensor:
     return torch.cat([known, 1 - known])[None]
 
 
-def expected_order(comparisons: Comparisons, opinions: Opinions) -> Tensor:
+def expected_order(comparisons: DistanceComparisons, opinions: Opinions) -> Tensor:
     """How often noisy mean opinions would be in the order of the true ones, for each comparison, `(1, C)`.
 
     With the differences D of the opinions taken as true and standard errors s1, s2 it is Phi(D / sqrt(s1^2 + s2^2)).
@@ -128,23 +128,10 @@ def expected_order(comparisons: Comparisons, opinions: Opinions) -> Tensor:
     return torch.special.ndtr(difference / _spread(opinions, nearer, farther))[None]
 
 
-def resample(materials: int, count: int = 1000, seed: int = 0) -> Tensor:
-    """How often each of K materials is drawn when K are drawn with replacement, `(count, K)` long."""
-    generator = torch.Generator().manual_seed(seed)
-    drawn = torch.randint(materials, (count, materials), generator=generator)
-    return torch.zeros(count, materials, dtype=torch.long).scatter_add_(1, drawn, torch.ones_like(drawn))
-
-
-def interval(replicates: Tensor, level: float = 0.95) -> Tensor:
-    """Percentile interval of replicates `(B, L)`, `(L, 2)`."""
-    ends = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=replicates.dtype)
-    return replicates.nanquantile(ends, 0).T
-
-
-def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> Comparisons:
+def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> DistanceComparisons:
     reference, a, b = triplets.questions.unbind(1)
     count = len(triplets.materials)
-    return Comparisons(
+    return DistanceComparisons(
         nearer=reference * count + torch.where(swap, b, a),
         farther=reference * count + torch.where(swap, a, b),
         materials=triplets.questions,
@@ -153,10 +140,12 @@ def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> Comparisons:
     )
 
 
-def _rows(opinions: Opinions, first: Tensor, second: Tensor, material: Tensor, group: Tensor | None) -> Comparisons:
+def _rows(
+    opinions: Opinions, first: Tensor, second: Tensor, material: Tensor, group: Tensor | None
+) -> DistanceComparisons:
     swap = opinions.distance[first] > opinions.distance[second]
     one, other = material[first], material[second]
-    return Comparisons(
+    return DistanceComparisons(
         nearer=torch.where(swap, second, first),
         farther=torch.where(swap, first, second),
         materials=torch.stack([one, torch.where(one == other, -1, other)], 1),
@@ -165,7 +154,7 @@ def _rows(opinions: Opinions, first: Tensor, second: Tensor, material: Tensor, g
     )
 
 
-def _numbered(names: Sequence[str]) -> Tensor:
+def _label_indices(names: Sequence[str]) -> Tensor:
     """The place of each name among the sorted different ones."""
     place = {name: k for k, name in enumerate(sorted(set(names)))}
     return torch.tensor([place[name] for name in names], dtype=torch.long)

@@ -7,15 +7,16 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.perception.agreement import statistics
-from torchbrdf.perception.agreement.statistics import Comparisons
+from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.datasets.factors import FACTORS
 from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
 
 ODD_METHOD = "ABC"
 """A method whose published parameters look otherwise than what people saw."""
-APART = (FACTORS, ODD_METHOD)
+LEFT_OUT = (FACTORS, ODD_METHOD)
 """Methods that the main columns leave out; others have each of them back, one at a time."""
 
 LABELS = {
@@ -36,7 +37,7 @@ class Statistic:
     key: str
     label: str
     data: Literal["triplets", "opinions"]
-    comparisons: Comparisons
+    comparisons: DistanceComparisons
     ceiling: Tensor | None
     materials: int
     rows: Tensor | None = None
@@ -80,7 +81,7 @@ class Table:
         It is paired: both losses see the same drawn materials.
         """
         one, two = self.losses.index(loss), self.losses.index(other)
-        ends = statistics.interval((self.replicates[:, :, one] - self.replicates[:, :, two]).T)
+        ends = percentile_interval((self.replicates[:, :, one] - self.replicates[:, :, two]).T)
         return self.value[one] - self.value[two], ends[:, 0], ends[:, 1]
 
     def records(self) -> list[dict[str, Any]]:
@@ -101,7 +102,7 @@ class Table:
         ]
 
 
-def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = APART) -> list[Statistic]:
+def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = LEFT_OUT) -> list[Statistic]:
     """All columns: those of the triplets, of the opinions without some methods, and then with each of these added.
 
     A statistic without any comparison is left out.
@@ -129,7 +130,7 @@ def _of_opinions(opinions: Opinions, rows: Tensor, added: str) -> list[Statistic
     suffix, said = (f"_with_{added.lower()}", f", with {added}") if added else ("", "")
     made = {
         "pairs": statistics.same_material(opinions),
-        "apart": statistics.same_material(opinions, apart=True),
+        "apart": statistics.same_material(opinions, well_separated=True),
         "across": statistics.across_materials(opinions),
     }
     materials = len(set(opinions.materials))
@@ -160,20 +161,20 @@ def tabulate(
     )
     drawn = torch.full((len(columns), replicates, len(losses)), torch.nan, dtype=torch.float64)
     for s, one in enumerate(columns):
-        resamples = statistics.resample(one.materials, replicates, seed)
+        resamples = resample_counts(one.materials, replicates, seed)
         known = [k for k, loss in enumerate(losses) if getattr(distances[loss], one.data) is not None]
         rights = []
         for k in known:
             own: Tensor = getattr(distances[losses[k]], one.data).flatten()
-            rights.append(one.comparisons.right((own if one.rows is None else own[one.rows])[None]))
+            rights.append(one.comparisons.concordant((own if one.rows is None else own[one.rows])[None]))
         if known:
             right = torch.cat(rights)
-            value[s, known] = one.comparisons.share(right)
-            drawn[s][:, known] = one.comparisons.share(right, resamples)
+            value[s, known] = one.comparisons.agreement_rate(right)
+            drawn[s][:, known] = one.comparisons.agreement_rate(right, resamples)
         if one.ceiling is not None:
-            ends = statistics.interval(one.comparisons.share(one.ceiling, resamples))[0]
-            ceiling[s] = torch.cat([one.comparisons.share(one.ceiling), ends])
-    ends = torch.stack([statistics.interval(part) for part in drawn]) if losses else drawn.new_empty(*shape, 2)
+            ends = percentile_interval(one.comparisons.agreement_rate(one.ceiling, resamples))[0]
+            ceiling[s] = torch.cat([one.comparisons.agreement_rate(one.ceiling), ends])
+    ends = torch.stack([percentile_interval(part) for part in drawn]) if losses else drawn.new_empty(*shape, 2)
     return Table(
         losses,
         columns,

@@ -5,14 +5,16 @@ from pathlib import Path
 import torch
 
 from torchbrdf.measured import load
-from torchbrdf.perception.agreement.scores import METHODS, Approximation, Subjects
+from torchbrdf.perception.agreement.scores import METHODS, Approximation, BenchmarkData
 from torchbrdf.perception.datasets.factors import FACTORS, read_factors
 from torchbrdf.perception.datasets.opinions import read_opinions
 from torchbrdf.perception.datasets.published import read_published
 from torchbrdf.perception.datasets.triplets import read_triplets
 
 
-def read_subjects(materials: str, human: str, fits: str, factors: str, triplets: str, opinions: str) -> Subjects:
+def read_benchmark_data(
+    materials: str, human: str, fits: str, factors: str, triplets: str, opinions: str
+) -> BenchmarkData:
     """The materials in a folder, the answers in the folder `human`, and the approximations that are published.
 
     fits, factors: files, or names of files in `human`; without a file of factors their method has no model. triplets,
@@ -28,4 +30,4 @@ def read_subjects(materials: str, human: str, fits: str, factors: str, triplets:
     measured = load(materials)
     wanted = {*asked.materials, *opined.materials}
     measured = measured.batch([k for k, name in enumerate(measured.names) if name in wanted])
-    return Subjects(measured, asked, opined, models)
+    return BenchmarkData(measured, asked, opined, models)

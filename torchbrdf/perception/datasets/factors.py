@@ -20,7 +20,7 @@ SOURCE = (
 FACTORS = "BAGHER"
 """The method of the opinions that these are."""
 SHAPE = (256, 512, 3)
-BINS = 90
+FACTOR_BINS = 90
 
 
 class FactorModel(nn.Module):
@@ -42,9 +42,11 @@ class FactorModel(nn.Module):
     def forward(self, pairs: Pairs) -> Tensor:
         """The values, `(M, N, 3)`."""
         diffuse, specular = self.rows[:, :1], self.rows[:, 1:2]
-        d, g, f = self.rows[:, 2:].split(BINS, 1)
+        d, g, f = self.rows[:, 2:].split(FACTOR_BINS, 1)
         quarter = math.pi / 2
-        lobe = _pick(d, (pairs.theta_h / quarter).sqrt() * BINS) * _pick(f, pairs.theta_d / quarter * BINS)
+        lobe = _pick(d, (pairs.theta_h / quarter).sqrt() * FACTOR_BINS) * _pick(
+            f, pairs.theta_d / quarter * FACTOR_BINS
+        )
         masked = _shadow(g, pairs.cos_i) * _shadow(g, pairs.cos_o)
         above = pairs.above[..., None]
         cosines = torch.where(above, (pairs.cos_i * pairs.cos_o)[..., None], 1)
@@ -53,16 +55,16 @@ class FactorModel(nn.Module):
 
 def _pick(table: Tensor, place: Tensor) -> Tensor:
     """Entries of `(M, 90, 3)` at `(M, N)`, or at `(1, N)` or `(N,)` for all."""
-    index = place.clamp(0, BINS - 1).long().expand(len(table), -1)
+    index = place.clamp(0, FACTOR_BINS - 1).long().expand(len(table), -1)
     return table.gather(1, index[..., None].expand(-1, -1, 3))
 
 
 def _shadow(g: Tensor, cosine: Tensor) -> Tensor:
     """G1 `(M, N, 3)`; past the middle of the last bin it falls to 0."""
-    place = cosine.clamp(-1, 1).acos() / (math.pi / 2) * BINS - 0.5
+    place = cosine.clamp(-1, 1).acos() / (math.pi / 2) * FACTOR_BINS - 0.5
     low = place.floor()
     share = (place - low)[..., None]
-    ahead = torch.where(low[..., None] + 1 > BINS - 1, 0, _pick(g, (low + 1).clamp_min(2)))
+    ahead = torch.where(low[..., None] + 1 > FACTOR_BINS - 1, 0, _pick(g, (low + 1).clamp_min(2)))
     return _pick(g, low.clamp_min(1)) * (1 - share) + ahead * share
 
 
@@ -98,7 +100,7 @@ def read_factors(path: Path | str) -> FactorFits:
     if path.stat().st_size != size:
         raise DataError(f"{path}: expected {size} bytes, found {path.stat().st_size}")
     names = sorted(MERL_NAMES, key=lambda name: name.replace("-", "") + "binary")
-    rows = torch.from_numpy(np.fromfile(path, "<f4").reshape(SHAPE)[: len(names), : 2 + 3 * BINS].copy())
+    rows = torch.from_numpy(np.fromfile(path, "<f4").reshape(SHAPE)[: len(names), : 2 + 3 * FACTOR_BINS].copy())
     bad = (~rows.isfinite().all(2).all(1) | (rows < 0).flatten(1).any(1) | ~rows.flatten(1).any(1)).nonzero()
     if len(bad):
         row = int(bad[0, 0])

@@ -8,13 +8,13 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 
-MEASURED = {"rms": "rms", "rms_cos": "cosine", "rms_cos_cube": "cuberoot"}
+TABLE_LOSSES = {"rms": "rms", "rms_cos": "cosine", "rms_cos_cube": "cuberoot"}
 """Names in the file, and the losses that they are: of their own grid of directions, on MERL's measured tables."""
-PICTURES = ("dist_L2_lab", "dist_L4_lab")
+PICTURE_DISTANCES = ("dist_L2_lab", "dist_L4_lab")
 
 
 def read_lagunas(path: Path | str, materials: int = 100) -> dict[str, Tensor]:
-    """Distances `(K, K)` float64 by name, from the MAT file with the names of MEASURED and of PICTURES.
+    """Distances `(K, K)` float64 by name, from the MAT file with the names of TABLE_LOSSES and of PICTURE_DISTANCES.
 
     Source: M. Lagunas et al., A similarity measure for material appearance, 2019, doi:10.1145/3306346.3323036.
     """
@@ -26,7 +26,7 @@ def read_lagunas(path: Path | str, materials: int = 100) -> dict[str, Tensor]:
     except Exception as error:  # scipy raises many kinds
         raise DataError(f"{path}: expected a MAT file: {error}") from None
     found = {}
-    for name in (*MEASURED, *PICTURES):
+    for name in (*TABLE_LOSSES, *PICTURE_DISTANCES):
         if name not in content or content[name].shape != (materials, materials):
             shape = content[name].shape if name in content else "no such matrix"
             raise DataError(f"{path}: {name}: expected {materials} x {materials} distances, found {shape}")

@@ -2,7 +2,6 @@
 
 import csv
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,11 +45,6 @@ class Opinions:
         mos = 5 - 4 * self.distance
         variance = (0.2 * (-mos.square() + 6 * mos - 5)).clamp_min(0.15)
         return (variance / VOTES).sqrt() / 4
-
-    def of(self, methods: Collection[str]) -> "Opinions":
-        """The rows of some methods."""
-        rows = [row for row, method in enumerate(self.methods) if method in methods]
-        return self.select(rows)
 
     def select(self, rows: list[int]) -> "Opinions":
         """Some of the rows, by index."""

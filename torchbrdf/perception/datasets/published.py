@@ -16,9 +16,8 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import LOBES, Lambert, Sum
+from torchbrdf.measured.merl import CHANNEL_FACTORS
 
-# Channel factors that MERL's own reader applies to the entries of a table, beside the common 1/1500.
-CHANNELS = (1.0, 1.15, 1.66)
 ORIGIN = "the fits of https://github.com/bsdfbenchmark/bbm, folder fits/, collected as one JSON file"
 NGAN = "A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126"
 LOW = (
@@ -40,7 +39,7 @@ class _Reading:
 
     model: the `model` of each fit; lobe: a registered one; fields: the shape of each number of a fit; positive: those
     that must be above 0; parameters: from fields, `(M, k)`, to the lobe's parameters; raw: whether the fits lack
-    CHANNELS.
+    MERL's CHANNEL_FACTORS.
     """
 
     source: str
@@ -197,7 +196,7 @@ def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, chann
     stacked = {field: torch.stack(rows) for field, rows in columns.items()}
     diffuse, values = stacked["diffuse"], reading.parameters(stacked)
     if reading.raw and channel_scales:
-        scale = diffuse.new_tensor(CHANNELS)
+        scale = diffuse.new_tensor(CHANNEL_FACTORS)
         diffuse, values["specular"] = diffuse * scale, values["specular"] * scale
     dtype = dtype or torch.get_default_dtype()
     model = Sum(Lambert(albedo=diffuse, dtype=dtype), LOBES[reading.lobe](dtype=dtype, **values))

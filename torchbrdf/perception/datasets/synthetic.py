@@ -7,12 +7,12 @@ import torch
 
 from torchbrdf.lobes import Lambert, Lobe, Sum, Ward
 from torchbrdf.measured import load, standins
-from torchbrdf.perception.agreement.scores import Subjects
+from torchbrdf.perception.agreement.scores import BenchmarkData
 from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
 from torchbrdf.perception.directions import uniform_pairs
 
-MADE_UP = "made-up answers: nobody was asked"
+SYNTHETIC = "made-up answers: nobody was asked"
 """What has to be said wherever they are shown."""
 
 
@@ -31,7 +31,7 @@ class Guess:
         return Sum(Lambert(albedo=self.diffuse[rows]), lobe)
 
 
-def made_up(questions: int = 300, seed: int = 0) -> Subjects:
+def synthetic_benchmark(questions: int = 300, seed: int = 0) -> BenchmarkData:
     """The bundled stand-ins, three guesses at each, and answers drawn around differences of cube roots.
 
     Nobody was asked: such answers only show that all works.
@@ -55,6 +55,6 @@ def made_up(questions: int = 300, seed: int = 0) -> Subjects:
         shown = torch.cat([guess.of(names).to(dtype=torch.float64)(pairs) for guess in guesses.values()])
     error = (shown.clamp_min(0).pow(1 / 3) - values.repeat(len(guesses), 1, 1)).abs().mean((1, 2))
     noise = 0.03 * torch.randn(len(error), generator=generator, dtype=torch.float64)
-    return Subjects(
+    return BenchmarkData(
         measured, triplets, Opinions(methods, names * len(guesses), (error / error.max() + noise).clamp(0, 1)), guesses
     )

@@ -7,23 +7,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.losses.base import Loss
 from torchbrdf.losses.learned import ROWS, named
-from torchbrdf.perception.agreement.scores import Seen, distances
-from torchbrdf.perception.agreement.statistics import Comparisons, interval, resample
-from torchbrdf.perception.learning.training_set import Asked, Lesson
+from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
+from torchbrdf.perception.agreement.statistics import DistanceComparisons
+from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
 
 # What the mean likelihood of each part of the answers counts.
-SHARE = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
+PART_WEIGHT = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
 # The slope of the probit of each part at the start, on a scale where distances are 1.
-SLOPE = {"triplets": 3.0, "pairs": 6.0, "across": 6.0, "choices": 6.0}
+PART_SLOPE = {"triplets": 3.0, "pairs": 6.0, "across": 6.0, "choices": 6.0}
 # How often people answer at random; keeps one answer from counting without limit.
 LAPSE = 0.02
 # The least share of pointwise terms in all weights: what people were asked about has hardly any spikes, and averages
 # alone would let a fit hide them in a bin.
-LEAST = 0.1
+MIN_POINTWISE_SHARE = 0.1
 # What it costs roots of weights to leave the start, where all are equal.
-PULL = 0.03
+L2_PRIOR = 0.03
 
 
 @dataclass(frozen=True)
@@ -36,54 +37,58 @@ class Split:
 
 
 @dataclass(frozen=True)
-class Course:
+class History:
     """The iterations of one training: mean negative log-likelihood seen and held out, `(I, 2)`; weights `(I, T)`."""
 
     curve: Tensor
     weights: Tensor
 
 
-def within(lesson: Lesson, own: Asked, split: Split, *, seen: bool) -> Asked:
+def select_judgments(training_set: TrainingSet, own: Judgments, split: Split, *, seen: bool) -> Judgments:
     """The answers that a split learns from, or those about nothing of what it learns from."""
     inside = split.materials[own.materials]
     if split.without < 0:
         return own.select(inside.all(1) if seen else ~inside.any(1))
-    absent = (lesson.method[own.first] == split.without) | (lesson.method[own.second] == split.without)
+    absent = (training_set.method[own.first] == split.without) | (training_set.method[own.second] == split.without)
     return own.select(inside.all(1) & ~absent if seen else ~inside.any(1) & absent)
 
 
-def mismatch(lesson: Lesson, asked: Mapping[str, Asked], weights: Tensor, slopes: Tensor) -> Tensor:
-    """Mean negative log-likelihood of the votes, the parts by `SHARE`: P(first) = Phi(slope (d_second - d_first)).
+def negative_log_likelihood(
+    training_set: TrainingSet, judgments: Mapping[str, Judgments], weights: Tensor, slopes: Tensor
+) -> Tensor:
+    """Mean negative log-likelihood of the votes, the parts weighted by `PART_WEIGHT`.
 
-    slopes: logarithms, of triplets and of all else, `(2,)`. A part of which nothing was asked does not count.
+    P(first) = Phi(slope (d_second - d_first)). slopes: logarithms, of triplets and of all else, `(2,)`. A part of which
+    nothing was asked does not count.
     """
-    distance = lesson.distances(weights)
+    distance = training_set.distances(weights)
     total = weights.new_zeros(())
-    for part, own in asked.items():
+    for part, own in judgments.items():
         if len(own):
-            slope = slopes[0 if part == "triplets" else 1].exp() * SLOPE[part]
+            slope = slopes[0 if part == "triplets" else 1].exp() * PART_SLOPE[part]
             argument = (slope * (distance[own.second] - distance[own.first])).clamp(-6, 6)
             chance = LAPSE + (1 - 2 * LAPSE) * torch.special.ndtr(argument)
             likely = own.share * chance.log() + (1 - own.share) * (1 - chance).log()
-            total = total - SHARE[part] * (own.count * likely).sum() / own.count.sum()
+            total = total - PART_WEIGHT[part] * (own.count * likely).sum() / own.count.sum()
     return total
 
 
-def train(lesson: Lesson, split: Split, iterations: int) -> Course:
+def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     """L-BFGS from equal weights on what a split learns from; the rest judges.
 
-    Weights are squares, so at least 0, and the pointwise ones have a share of `LEAST` of their sum; terms are taken in
-    units of their means. There is nothing random in it; early stopping is the choice of an iteration.
+    Weights are squares, so at least 0, and the pointwise ones have a share of `MIN_POINTWISE_SHARE` of their sum; terms
+    are taken in units of their means. There is nothing random in it; early stopping is the choice of an iteration.
     """
-    unit = units(lesson)
-    scaled = Lesson(**{**vars(lesson), "terms": lesson.terms / unit})
+    unit = units(training_set)
+    scaled = TrainingSet(**{**vars(training_set), "terms": training_set.terms / unit})
     start = torch.full_like(unit, len(unit) ** -0.5)
     roots = start.clone().requires_grad_()
     share = torch.zeros_like(unit)
-    share[:ROWS] = LEAST / (1 - LEAST) / ROWS
+    share[:ROWS] = MIN_POINTWISE_SHARE / (1 - MIN_POINTWISE_SHARE) / ROWS
     slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     parts = [
-        {name: within(lesson, own, split, seen=seen) for name, own in lesson.asked.items()} for seen in (True, False)
+        {name: select_judgments(training_set, own, split, seen=seen) for name, own in training_set.judgments.items()}
+        for seen in (True, False)
     ]
     optimizer = torch.optim.LBFGS(
         [roots, slopes], max_iter=1, max_eval=40, history_size=20, line_search_fn="strong_wolfe"
@@ -94,7 +99,9 @@ def train(lesson: Lesson, split: Split, iterations: int) -> Course:
 
     def closure() -> Tensor:
         optimizer.zero_grad()
-        value = mismatch(scaled, parts[0], weighing(), slopes) + PULL * (roots - start).square().sum()
+        value = (
+            negative_log_likelihood(scaled, parts[0], weighing(), slopes) + L2_PRIOR * (roots - start).square().sum()
+        )
         value.backward()
         return value
 
@@ -103,55 +110,57 @@ def train(lesson: Lesson, split: Split, iterations: int) -> Course:
         optimizer.step(closure)
         with torch.no_grad():
             now = weighing()
-            curve.append(torch.stack([mismatch(scaled, part, now, slopes) for part in parts]))
+            curve.append(torch.stack([negative_log_likelihood(scaled, part, now, slopes) for part in parts]))
             weights.append(now / unit)
-    return Course(torch.stack(curve), torch.stack(weights))
+    return History(torch.stack(curve), torch.stack(weights))
 
 
-def units(lesson: Lesson) -> Tensor:
+def units(training_set: TrainingSet) -> Tensor:
     """The mean of each term over the distances of two materials, or over all if there are none, `(T,)`."""
-    return lesson.terms[_usual(lesson)].mean(0).clamp_min(1e-12)
+    return training_set.terms[_usual(training_set)].mean(0).clamp_min(1e-12)
 
 
-def _usual(lesson: Lesson) -> Tensor:
-    between = lesson.method < 0
+def _usual(training_set: TrainingSet) -> Tensor:
+    between = training_set.method < 0
     return between if bool(between.any()) else ~between
 
 
-def splits(lesson: Lesson, repeats: int, seed: int) -> Iterator[Split]:
+def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split]:
     """Repeated two-fold cross-validation over materials; and in the first of them, one method after the other left out
     as well."""
     generator = torch.Generator().manual_seed(seed)
-    count = len(lesson.names)
+    count = len(training_set.names)
     for repeat in range(repeats):
         chosen = torch.zeros(count, dtype=torch.bool)
         chosen[torch.randperm(count, generator=generator)[: count // 2]] = True
         for fold, own in enumerate((chosen, ~chosen)):
             yield Split(f"half-{repeat}-{fold}", own)
-            if not repeat and len(lesson.methods) > 1:
-                for k in range(len(lesson.methods)):
+            if not repeat and len(training_set.methods) > 1:
+                for k in range(len(training_set.methods)):
                     yield Split(f"half-{repeat}-{fold}-without-{k}", own, k)
 
 
-def best_iteration(courses: list[Course]) -> int:
+def best_iteration(histories: list[History]) -> int:
     """The iteration at which held-out answers are likeliest, on average over the trainings."""
-    return int(torch.stack([course.curve[:, 1] for course in courses]).mean(0).argmin())
+    return int(torch.stack([history.curve[:, 1] for history in histories]).mean(0).argmin())
 
 
-def finished(lesson: Lesson, weights: Tensor) -> dict[str, Any]:
+def finished(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
     """Weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
-    mean = lesson.distances(weights)[_usual(lesson)].mean()
+    mean = training_set.distances(weights)[_usual(training_set)].mean()
     return named(weights / mean.square())
 
 
-def formulas(lesson: Lesson, seen: Seen, losses: Mapping[str, Loss]) -> dict[str, Tensor]:
-    """What other losses give for the distances of a lesson, `(E,)` each."""
-    between = lesson.method < 0
+def baseline_distances(
+    training_set: TrainingSet, seen: EvaluatedBrdfs, losses: Mapping[str, Loss]
+) -> dict[str, Tensor]:
+    """What other losses give for the distances of a training set, `(E,)` each."""
+    between = training_set.method < 0
     found = {}
     for name, loss in losses.items():
-        distance = torch.empty(len(lesson.terms), dtype=torch.float64)
+        distance = torch.empty(len(training_set.terms), dtype=torch.float64)
         for own, values in ((between, seen.materials), (~between, seen.approximations)):
-            place = lesson.first[own], lesson.second[own]
+            place = training_set.first[own], training_set.second[own]
             distance[own] = distances(loss, values, seen.materials, seen.pairs, *place)
         found[name] = distance
     return found
@@ -163,7 +172,7 @@ HeldOut = dict[str, dict[str, dict[str, list[float]]]]
 
 
 def held_out(
-    lesson: Lesson,
+    training_set: TrainingSet,
     judged: list[tuple[Split, Tensor]],
     others: Mapping[str, Tensor],
     seed: int = 0,
@@ -176,25 +185,25 @@ def held_out(
     resampled with replacement, the gain on the same comparisons and materials. A comparison is judged in every split in
     which nothing of it was seen (and, where a method is left out, is of that method), and counts as their mean.
     """
-    draws = resample(len(lesson.names), replicates, seed)
-    learned = torch.stack([lesson.distances(weights) for _, weights in judged])
+    draws = resample_counts(len(training_set.names), replicates, seed)
+    learned = torch.stack([training_set.distances(weights) for _, weights in judged])
     found: HeldOut = {}
-    for statistic, own in lesson.statistics.items():
-        unseen = torch.stack([_unseen(lesson, own, split) for split, _ in judged]).double()
+    for statistic, own in training_set.statistics.items():
+        unseen = torch.stack([_unseen(training_set, own, split) for split, _ in judged]).double()
         tested = (unseen.sum(0) > 0).nonzero()[:, 0]
         if not len(tested):
             continue
-        mine = (own.right(learned) * unseen).sum(0)[tested] / unseen.sum(0)[tested]
-        part = Comparisons(
+        mine = (own.concordant(learned) * unseen).sum(0)[tested] / unseen.sum(0)[tested]
+        part = DistanceComparisons(
             own.nearer[tested],
             own.farther[tested],
             own.materials[tested],
             own.weight[tested],
             own.group[tested].unique(return_inverse=True)[1],
         )
-        rows = torch.cat([mine[None], part.right(torch.stack(list(others.values())))] if others else [mine[None]])
-        share, spread = part.share(rows), part.share(rows, draws)
-        ends, gains = interval(spread), interval(spread[:, :1] - spread)
+        rows = torch.cat([mine[None], part.concordant(torch.stack(list(others.values())))] if others else [mine[None]])
+        share, spread = part.agreement_rate(rows), part.agreement_rate(rows, draws)
+        ends, gains = percentile_interval(spread), percentile_interval(spread[:, :1] - spread)
         found[statistic] = {
             name: {
                 "share": [float(share[k]), *ends[k].tolist()],
@@ -205,9 +214,9 @@ def held_out(
     return found
 
 
-def _unseen(lesson: Lesson, own: Comparisons, split: Split) -> Tensor:
+def _unseen(training_set: TrainingSet, own: DistanceComparisons, split: Split) -> Tensor:
     about = (~split.materials)[own.materials] | (own.materials < 0)
     if split.without < 0:
         return about.all(1)
-    methods = lesson.method[torch.stack([own.nearer, own.farther], 1)]
+    methods = training_set.method[torch.stack([own.nearer, own.farther], 1)]
     return about.all(1) & (methods == split.without).any(1)

@@ -10,9 +10,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.images import luminance, read_image
-from torchbrdf.parallel import each
+from torchbrdf.images import read_image
+from torchbrdf.parallel import thread_map
 from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square
 from torchbrdf.render.light.studio import make_studio
 
@@ -25,7 +26,7 @@ _WIDEST = 4 * RESOLUTION
 
 
 @dataclass(frozen=True)
-class Lights:
+class EnvironmentSamples:
     """Fixed directional lights: unit `direction` `(L, 3)`, and `flux` `(L, 3)`, radiance times solid angle."""
 
     direction: Tensor
@@ -54,7 +55,7 @@ class Environment:
 
     @classmethod
     def default(cls, rotation: float = 0.0) -> "Environment":
-        """The grove that comes with the package; `torchbrdf.render.light.grove` made it."""
+        """The grove that comes with the package; `torchbrdf.assets.make_grove` made it."""
         with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "grove.exr") as path:
             return cls.from_file(path, rotation)
 
@@ -85,12 +86,8 @@ class Environment:
             samples = F.grid_sample(planes, place[None], mode="bilinear", padding_mode="border", align_corners=False)
             return F.avg_pool2d(samples, _SUPERSAMPLING)
 
-        strips = list(each(strip, step.split(_STRIP * _SUPERSAMPLING)))
+        strips = list(thread_map(strip, step.split(_STRIP * _SUPERSAMPLING)))
         return cls(torch.cat(strips, 2)[0].movedim(0, -1).contiguous(), rotation)
-
-    def rotated(self, degrees: float) -> "Environment":
-        """The same surroundings, turned by so much more."""
-        return Environment(self.texels, self.rotation + degrees)
 
     @cached_property
     def _pyramid(self) -> list[Tensor]:
@@ -144,7 +141,7 @@ class Environment:
         found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
         return found.reshape(*directions.shape[:-1], 3)
 
-    def lights(self, count: int) -> Lights:
+    def light_samples(self, count: int) -> EnvironmentSamples:
         """At most `count` lights that stand for the whole environment with the same flux.
 
         The map is a quadtree. Where the luminance-weighted variance of direction times flux, the leading term of what
@@ -177,7 +174,7 @@ class Environment:
             exists = divided.repeat_interleave(2, 0).repeat_interleave(2, 1)
         flux, _, moment = torch.cat(leaves).split([3, 1, 3], -1)
         direction = self._turned(F.normalize(moment, dim=-1), self.rotation)
-        return Lights(direction.to(torch.float32), flux.to(torch.float32))
+        return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
 
 
 def _beside(parts: list[Tensor], dtype: torch.dtype) -> Tensor:

@@ -1,4 +1,4 @@
-"""Light that comes from one direction at every point: suns and small lamps."""
+"""Light that comes from one direction at every point: point and directional lights."""
 
 import math
 from collections.abc import Sequence
@@ -71,12 +71,12 @@ class PointLight:
         return direction, position.new_tensor(self.intensity) / counted.square(), distance
 
 
-Lamp = DirectionalLight | PointLight
+PunctualLight = DirectionalLight | PointLight
 
-_KINDS: dict[str, type[Lamp]] = {"directional": DirectionalLight, "point": PointLight}
+_KINDS: dict[str, type[PunctualLight]] = {"directional": DirectionalLight, "point": PointLight}
 
 
-def parse_lamp(text: str) -> Lamp:
+def parse_light(text: str) -> PunctualLight:
     """A light from `KIND:X,Y,Z:COLOR`, as a command line gives it.
 
     `directional:0.3,1,0.5:2` is a DirectionalLight of that direction and irradiance, `point:1,2,3:5,5,4` a PointLight

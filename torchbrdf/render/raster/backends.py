@@ -60,37 +60,38 @@ def _usable() -> bool:
     return bool(found.renderer)
 
 
-def nearest(points: np.ndarray, faces: np.ndarray, size: int, backend: str) -> np.ndarray:
+def nearest_triangles(points: np.ndarray, faces: np.ndarray, size: int, backend: str) -> np.ndarray:
     """The id of the nearest triangle at each pixel's centre, `(size, size)`, -1 where there is none.
 
-    points: `(3, V)`, column, row and closeness as `View.project` gives them; faces: `(F, 3)`.
+    points: `(3, V)`, column, row and closeness as `Camera.project` gives them; faces: `(F, 3)`.
     backend: software, pyrender, or auto, which is pyrender where that works.
     """
     if backend not in BACKENDS:
         raise unknown("backend", backend, BACKENDS)
     if backend == "software" or (backend == "auto" and not _usable()):
-        return zbuffer.nearest(points, faces, size)
+        return zbuffer.nearest_triangles(points, faces, size)
     try:
         return _by_opengl(points, faces, size)
     except UsageError as error:
         if backend == "pyrender":
             raise
         logging.getLogger("torchbrdf").info("torchbrdf: rasterizing in software; %s", error)
-        return zbuffer.nearest(points, faces, size)
+        return zbuffer.nearest_triangles(points, faces, size)
 
 
 def _by_opengl(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
     """With a UsageError if it cannot be done."""
     most = max(len(faces), points.shape[1])
-    if most > opengl.LARGEST:
+    if most > opengl.MOST_TRIANGLES:
         raise UsageError(
-            f"backend 'pyrender': expected at most {opengl.LARGEST} faces and vertices, found {most}; use software"
+            f"backend 'pyrender': expected at most {opengl.MOST_TRIANGLES} faces and vertices, found {most}; "
+            "use software"
         )
     found = find_opengl()
     if not found.renderer:
         raise UsageError(f"backend 'pyrender': OpenGL does not work here: {found.reason}; {_INSTALL}, or use software")
     try:
-        return opengl.nearest(points, faces, size)
+        return opengl.nearest_triangles(points, faces, size)
     except Exception as error:  # of many kinds, its own, the system's, and pyrender's
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise UsageError(f"backend 'pyrender': OpenGL could not draw {size} x {size} pixels: {reason}") from None

@@ -13,7 +13,7 @@ _FILL = 0.92
 
 
 @dataclass(frozen=True)
-class View:
+class Camera:
     """A perspective camera that looks at the middle of an object.
 
     rotation: degrees about the vertical axis through the object; 0 looks from +z, 90 from +x.
@@ -29,22 +29,22 @@ class View:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.rotation):
-            raise UsageError(f"View.rotation: expected degrees, found {self.rotation}")
+            raise UsageError(f"Camera.rotation: expected degrees, found {self.rotation}")
         if not 1 <= self.field_of_view <= 120:
-            raise UsageError(f"View.field_of_view: expected 1 to 120 degrees, found {self.field_of_view}")
+            raise UsageError(f"Camera.field_of_view: expected 1 to 120 degrees, found {self.field_of_view}")
         if not -89 <= self.elevation <= 89:
-            raise UsageError(f"View.elevation: expected -89 to 89 degrees, found {self.elevation}")
+            raise UsageError(f"Camera.elevation: expected -89 to 89 degrees, found {self.elevation}")
         if self.distance is not None and not 1 < self.distance < math.inf:
             raise UsageError(
-                "View.distance: expected more than 1 radius of the bounding sphere, or the camera would be inside the "
-                f"object, found {self.distance}"
+                "Camera.distance: expected more than 1 radius of the bounding sphere, or the camera would be inside "
+                f"the object, found {self.distance}"
             )
 
-    def camera(self, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    def pose(self, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
         """The eye `(3,)`, and the camera's axes as rows `(3, 3)`: right, up, and back from the object to the eye."""
         center, radius = mesh.bounding_sphere
         if not radius > 0:
-            raise DataError(f"view: expected a mesh with an extent, found {len(mesh.vertices)} vertices in one place")
+            raise DataError(f"camera: expected a mesh with an extent, found {len(mesh.vertices)} vertices in one place")
         angle, height = math.radians(self.rotation), math.radians(self.elevation)
         sine, cosine = math.sin(angle), math.cos(angle)
         right = np.array([cosine, 0.0, -sine])
@@ -61,7 +61,7 @@ class View:
         Pixel (row, column) has its centre at exactly these numbers. Closeness is 1 / depth, which is linear on the
         screen along a triangle; all of the mesh is in front of the camera, so that it is positive.
         """
-        eye, axes = self.camera(mesh)
+        eye, axes = self.pose(mesh)
         x, y, z = axes @ (mesh.vertices - eye).T
         closeness = -1 / z
         scale = size / (2 * math.tan(math.radians(self.field_of_view) / 2))

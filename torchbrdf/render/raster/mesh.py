@@ -10,25 +10,6 @@ import numpy as np
 
 from torchbrdf.errors import DataError
 
-# Bumps (above 0) and hollows (below 0) of the blob: direction, height, concentration.
-_BUMPS = np.array(
-    [
-        (0.15, 1.00, 0.20, 0.34, 5.0),
-        (-0.85, 0.50, 0.35, 0.38, 7.0),
-        (0.75, 0.45, 0.55, 0.34, 8.0),
-        (-0.15, -0.10, 1.00, 0.30, 9.0),
-        (0.30, -0.85, 0.55, 0.36, 7.0),
-        (-0.75, -0.60, 0.30, 0.36, 7.0),
-        (0.95, -0.30, -0.10, 0.36, 7.0),
-        (0.45, 0.50, -0.80, 0.34, 6.0),
-        (-0.45, 0.15, -0.95, 0.36, 6.0),
-        (0.15, -0.60, -0.80, 0.36, 6.0),
-        (0.25, 0.45, 0.90, -0.12, 14.0),
-        (-0.70, -0.05, 0.75, -0.14, 12.0),
-        (0.50, -0.20, 0.85, -0.14, 12.0),
-    ]
-)
-
 
 @dataclass(frozen=True)
 class Mesh:
@@ -128,14 +109,14 @@ def _only_part(scene: Any) -> Any:
 
 def sphere(levels: int = 6) -> Mesh:
     """The unit sphere: an octahedron divided `levels` times, 8 * 4^levels faces, with exact normals."""
-    vertices, faces = _octahedral_sphere(levels)
+    vertices, faces = octahedral_sphere(levels)
     return Mesh(vertices, faces, vertices.copy())
 
 
 def blob() -> Mesh:
     """The project's blob, from `assets/blob.ply`: convex and concave, as in P. Vangorp et al., The Influence of Shape
     on the Perception of Material Reflectance, 2007, doi:10.1145/1275808.1276473, where such a shape told materials
-    apart best. `make_blob().save("assets/blob.ply")` made it."""
+    apart best. `torchbrdf.assets.make_blob` made it."""
     with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "blob.ply") as path:
         return Mesh.load(path)
 
@@ -146,24 +127,8 @@ def find_mesh(name: str) -> Mesh:
     return made[name]() if name in made else Mesh.load(name)
 
 
-def make_blob(levels: int = 6) -> Mesh:
-    """A sphere d -> r(d) d with r = 1 + sum of a exp(k (d.c - 1)), smooth bumps a > 0 and hollows a < 0 about axes c.
-
-    Star-shaped, so it cannot cut through itself. The normal is r d - grad r, with grad r along the sphere.
-    """
-    directions, faces = _octahedral_sphere(levels)
-    axes = _BUMPS[:, :3] / np.linalg.norm(_BUMPS[:, :3], axis=1, keepdims=True)
-    height, concentration = _BUMPS[:, 3], _BUMPS[:, 4]
-    along = directions @ axes.T
-    bumps = height * np.exp(concentration * (along - 1))
-    radius = 1 + bumps.sum(1, keepdims=True)
-    slopes = bumps * concentration
-    gradient = slopes @ axes - (slopes * along).sum(1, keepdims=True) * directions
-    normals = radius * directions - gradient
-    return Mesh(radius * directions, faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-def _octahedral_sphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
+def octahedral_sphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices `(V, 3)` and faces `(8 * 4^levels, 3)` of an octahedron divided `levels` times, on the unit sphere."""
     vertices = np.vstack([np.eye(3), -np.eye(3)])
     faces = np.array([(x, y, z) if (x + y + z) % 2 else (x, z, y) for x in (0, 3) for y in (1, 4) for z in (2, 5)])
     for _ in range(levels):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 # Faces in 24 bits of colour, 0 being none; pyrender takes vertex numbers through float32.
-LARGEST = 2**24 - 1
+MOST_TRIANGLES = 2**24 - 1
 
 # pyrender's own shaders know an object's colour only. Vertices come projected in double precision, divided by depth.
 _VERTEX = """#version 330 core
@@ -38,10 +38,10 @@ _ALONE = threading.Lock()
 _user: list[int] = []
 
 
-def nearest(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+def nearest_triangles(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
     """The id of the nearest triangle at each pixel's centre, `(size, size)`, -1 where there is none.
 
-    points: `(3, V)`, column, row and closeness as `View.project` gives them; faces: `(F, 3)`, at most LARGEST.
+    points: `(3, V)`, column, row and closeness as `Camera.project` gives them; faces: `(F, 3)`, at most MOST_TRIANGLES.
     Raises whatever comes up where OpenGL is not complete. It is only used from the calling thread.
     """
     if _user and os.getpid() not in _user:
@@ -85,7 +85,7 @@ def _check() -> str:
     """The renderer's name, if it draws two triangles as it should: the nearer one, wound the other way, in a corner."""
     column, row = [-1, -1, 7.5, -1, 13.5, -1], [-1, 7.5, -1, -1, -1, 13.5]
     points = np.array([column, row, [1.0] * 3 + [0.5] * 3])
-    found = nearest(points, np.arange(6).reshape(2, 3), 8)
+    found = nearest_triangles(points, np.arange(6).reshape(2, 3), 8)
     away = np.add.outer(np.arange(8), np.arange(8))
     if not np.array_equal(found, np.where(away < 7, 0, np.where(away < 13, 1, -1))):
         raise RuntimeError("it draws a wrong picture")

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.render.light.octahedral import to_square
-from torchbrdf.render.raster.camera import View
+from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh
 from torchbrdf.render.raster.raster import rasterize
 
@@ -44,10 +44,10 @@ class Pixels:
         return Pixels(self.coverage, self.index[rows], self.position[rows], self.frame[rows], self.outgoing[:, rows])
 
 
-def see(mesh: Mesh, view: View, size: int, backend: str) -> Pixels:
+def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pixels:
     """Look at a mesh. A DataError if there is nothing to see."""
-    fine = rasterize(mesh, view, size * _FINER, backend)
-    eye, _ = view.camera(mesh)
+    fine = rasterize(mesh, camera, size * _FINER, backend)
+    eye, _ = camera.pose(mesh)
 
     def blocks(values: Tensor) -> Tensor:
         split = values.unflatten(0, (size, _FINER)).unflatten(2, (size, _FINER)).transpose(1, 2)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchbrdf.errors import UsageError
-from torchbrdf.render.raster.backends import nearest
-from torchbrdf.render.raster.camera import View
+from torchbrdf.render.raster.backends import nearest_triangles
+from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh
 
-__all__ = ["GBuffer", "View", "rasterize"]
+__all__ = ["Camera", "GBuffer", "rasterize"]
 
 # Pixels at a time: what is known of them stays in a processor's cache.
 _PIXELS = 1 << 14
@@ -17,11 +17,10 @@ _PIXELS = 1 << 14
 
 @dataclass(frozen=True)
 class GBuffer:
-    """What a view shows, each `(size, size, ...)`, top row first: the triangle's id (-1 for none), barycentrics,
-    positions and smooth unit normals (0 where there is nothing)."""
+    """What a camera sees, each `(size, size, ...)`, top row first: the triangle's id (-1 for none), positions
+    and smooth unit normals (0 where there is nothing)."""
 
     triangle: np.ndarray
-    barycentric: np.ndarray
     position: np.ndarray
     normal: np.ndarray
 
@@ -31,27 +30,25 @@ class GBuffer:
         return self.triangle >= 0
 
 
-def rasterize(mesh: Mesh, view: View, size: int, backend: str = "software") -> GBuffer:
+def rasterize(mesh: Mesh, camera: Camera, size: int, backend: str = "software") -> GBuffer:
     """What is at the centre of each of `size` x `size` pixels. Triangles have two sides.
 
     backend: what finds the triangles, see `render.raster.backends`; all else is the same code in double precision.
     """
     if size < 1:
         raise UsageError(f"rasterize: expected size >= 1, found {size}")
-    points = view.project(mesh, size)
-    triangle = nearest(points, mesh.faces, size, backend)
-    barycentric, position, normal = (np.zeros((size * size, 3)) for _ in range(3))
+    points = camera.project(mesh, size)
+    triangle = nearest_triangles(points, mesh.faces, size, backend)
+    position, normal = (np.zeros((size * size, 3)) for _ in range(2))
     seen = np.flatnonzero(triangle >= 0)
     for pixels in np.array_split(seen, len(seen) // _PIXELS + 1):
         corners = mesh.faces[triangle.reshape(-1)[pixels]]
         weights = _barycentrics(points[:, corners.T], pixels % size, pixels // size)
-        barycentric[pixels] = weights.T
         position[pixels] = _blend(weights, mesh.vertices, corners)
         smooth = _blend(weights, mesh.normals, corners)
         length = np.sqrt(np.einsum("pc,pc->p", smooth, smooth))
         normal[pixels] = smooth / np.maximum(length, 1e-30)[:, None]
-    whole = (values.reshape(size, size, 3) for values in (barycentric, position, normal))
-    return GBuffer(triangle, *whole)
+    return GBuffer(triangle, *(values.reshape(size, size, 3) for values in (position, normal)))
 
 
 def _barycentrics(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:

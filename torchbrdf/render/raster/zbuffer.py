@@ -31,10 +31,10 @@ class _Halves(NamedTuple):
     right: np.ndarray
 
 
-def nearest(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+def nearest_triangles(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
     """The id of the nearest triangle at each pixel's centre, `(size, size)`, -1 where there is none.
 
-    points: `(3, V)` as `View.project` gives them; faces: `(F, 3)`. Both sides of a triangle are seen, none that is
+    points: `(3, V)` as `Camera.project` gives them; faces: `(F, 3)`. Both sides of a triangle are seen, none that is
     edge on. Of equals the first is seen.
     """
     closest = np.zeros(size * size)

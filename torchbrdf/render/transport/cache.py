@@ -30,7 +30,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchbrdf"
 
 
-def kept(folder: Path, ingredients: list[object], build: Callable[[], Made]) -> Made:
+def load_or_build(folder: Path, ingredients: list[object], build: Callable[[], Made]) -> Made:
     """What `build` makes of these ingredients: from the folder, if it is there, else made and put there.
 
     A file that cannot be read is made anew, and a folder that cannot be written is passed over; either is said.

@@ -5,13 +5,13 @@ two quadratures share it, by a smooth weight s that goes from 1 at theta_h = 5 d
 
 - s times the integrand over half vectors, on nodes in a spiral that is dense at the normal, each with the environment
   averaged over its solid angle 4 cos_d d(omega_h): sharp lobes are smooth in theta_h, however detailed the environment
-  is (`Mirror`);
+  is (`HalfVectorQuadrature`);
 - 1 - s times it over fixed lights that stand for the whole environment: there is no sharp lobe left, and however small
-  the sun is, it is one of the lights (`Fixed`).
+  the sun is, it is one of the lights (`LightQuadrature`).
 
-Point and directional lights have one direction for each pixel (`Lit`).
+Point and directional lights have one direction for each pixel (`PunctualQuadrature`).
 
-Each part also says how its pairs fall into bins (`place`), and which pairs stand for a bin (`stand_in`): the compact
+Each also says how its pairs fall into bins (`bin`), and which pairs stand for a bin (`representatives`): the compact
 pairs that a transport works on.
 """
 
@@ -24,8 +24,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.pairs import Pairs
-from torchbrdf.render.light.environment import Environment, Lights
-from torchbrdf.render.light.punctual import Lamp
+from torchbrdf.render.light.environment import Environment, EnvironmentSamples
+from torchbrdf.render.light.punctual import PunctualLight
 from torchbrdf.render.raster.pixels import Pixels
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _BLUR, _LEAST = 0.5, 0.5
 _STEPS = 180
 
 
-class Part(Protocol):
+class Quadrature(Protocol):
     """A part of the quadrature. `length`: pairs of a pixel at most; `bins`: of the compact pairs at most, with so many
     `dimensions`."""
 
@@ -53,17 +53,17 @@ class Part(Protocol):
     bins: int
     dimensions: int
 
-    def make(self, rows: Tensor) -> tuple[Pairs, Tensor]:
+    def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Of some pixels: Pairs `(1, p L)` and weights `(p, L, 3)`, radiance times cosine times solid angle."""
 
-    def place(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """The bin of each of the pairs that `make` gave, `(p L,)`, and where in it each is, `(d, p L)`."""
+    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
+        """The bin of each of the pairs that `samples` gave, `(p L,)`, and where in it each is, `(d, p L)`."""
 
-    def stand_in(self, bins: Tensor, mean: Tensor) -> Pairs:
+    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
         """The pairs `(1, n)` that stand for some bins `(n,)`, by the mean place in them, `(d, n)`, float64."""
 
 
-class Mirror:
+class HalfVectorQuadrature:
     """Half vectors around the mirror direction. Every quantity follows from the node and from theta_o."""
 
     dimensions = 1
@@ -82,10 +82,10 @@ class Mirror:
         half = torch.stack([theta.sin() * azimuth.cos(), theta.sin() * azimuth.sin(), theta.cos()])
         # cos a - cos b = 2 sin((b + a) / 2) sin((b - a) / 2), without the cancellation
         solid = 4 * math.pi * ((edge[1:] + edge[:-1]) / 2).sin() * ((edge[1:] - edge[:-1]) / 2).sin()
-        parts = (half, theta.tan().square(), 4 * solid, near(theta.cos()))
+        parts = (half, theta.tan().square(), 4 * solid, half_vector_weight(theta.cos()))
         return tuple(part.to(torch.float32) for part in parts)  # type: ignore[return-value]
 
-    def make(self, rows: Tensor) -> tuple[Pairs, Tensor]:
+    def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs and weights."""
         frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
         half, tan2_h, solid, share = self.nodes
@@ -97,14 +97,14 @@ class Mirror:
             counted = counted * self.occluder.visible(self.pixels.position[rows], directions, wanted=counted > 0)
         return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1]), radiance * counted[..., None]
 
-    def place(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
+    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
         """By node and theta_o."""
         theta_o = torch.atan2(*self.pixels.outgoing[[0, 2]][:, rows])
         step = (theta_o * (_STEPS / (math.pi / 2))).long().clamp(0, _STEPS - 1)
         bins = step[:, None] * self.length + torch.arange(self.length)
         return bins.flatten(), theta_o[:, None].expand(bins.shape).reshape(1, -1)
 
-    def stand_in(self, bins: Tensor, mean: Tensor) -> Pairs:
+    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
         """The node seen from the mean theta_o of its bin."""
         half, tan2_h, _, _ = (part[..., bins % self.length].double() for part in self.nodes)
         outgoing = torch.stack([mean[0].sin(), torch.zeros_like(mean[0]), mean[0].cos()])
@@ -112,33 +112,33 @@ class Mirror:
         return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1])
 
 
-class Fixed:
+class LightQuadrature:
     """The same lights for every pixel. Bins are those of a MERL table, or coarser: theta_h^(1/2), theta_d, phi_d."""
 
     dimensions = 3
 
     def __init__(
-        self, pixels: Pixels, lights: Lights, resolution: tuple[int, int, int], occluder: "Occluder | None"
+        self, pixels: Pixels, lights: EnvironmentSamples, resolution: tuple[int, int, int], occluder: "Occluder | None"
     ) -> None:
         self.pixels, self.lights, self.occluder = pixels, lights, occluder
         self.length = (len(lights.flux) + 1) // 2
         self.resolution = resolution
         self.bins = math.prod(resolution)
 
-    def make(self, rows: Tensor) -> tuple[Pairs, Tensor]:
+    def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs and weights; lights below the horizon of all these pixels are left out."""
         frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
         used = (frame[:, 2] @ self.lights.direction.T > 0).any(0)
         direction = self.lights.direction[used]
         incident = (frame @ direction.T).transpose(0, 1).contiguous()  # (3, p, l)
         pairs, cos_h = _between(incident, outgoing)
-        counted = incident[2].clamp_min(0) * (1 - near(cos_h))
+        counted = incident[2].clamp_min(0) * (1 - half_vector_weight(cos_h))
         if self.occluder is not None:
             everywhere = direction.expand(len(rows), -1, 3)
             counted = counted * self.occluder.visible(self.pixels.position[rows], everywhere, wanted=counted > 0)
         return pairs, self.lights.flux[used] * counted[..., None]
 
-    def place(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
+    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
         """By half and difference angles."""
         place = torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
         share = (place[0] / (math.pi / 2)).sqrt(), place[1] / (math.pi / 2), place[2] / math.pi
@@ -147,25 +147,25 @@ class Fixed:
             bins = bins * count + (one * count).long().clamp(0, count - 1)
         return bins, place
 
-    def stand_in(self, bins: Tensor, mean: Tensor) -> Pairs:
+    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
         """The mean of the angles in each bin."""
         return Pairs.from_half_diff(*mean[:, None])
 
 
-class Lit:
+class PunctualQuadrature:
     """Point and directional lights; their pairs are not binned, since there are few."""
 
     dimensions = 3
 
-    def __init__(self, pixels: Pixels, lamps: Sequence[Lamp], occluder: "Occluder | None") -> None:
-        self.pixels, self.lamps, self.occluder = pixels, lamps, occluder
-        self.length = len(lamps)
-        self.bins = len(pixels) * len(lamps)
+    def __init__(self, pixels: Pixels, punctual_lights: Sequence[PunctualLight], occluder: "Occluder | None") -> None:
+        self.pixels, self.punctual_lights, self.occluder = pixels, punctual_lights, occluder
+        self.length = len(punctual_lights)
+        self.bins = len(pixels) * len(punctual_lights)
 
-    def make(self, rows: Tensor) -> tuple[Pairs, Tensor]:
+    def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs and weights: irradiance times the cosine."""
         frame, outgoing, position = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None], self.pixels.position
-        found = [lamp.at(position[rows]) for lamp in self.lamps]
+        found = [light.at(position[rows]) for light in self.punctual_lights]
         direction, irradiance = (torch.stack([one[k] for one in found], 1) for k in (0, 1))
         incident = (frame @ direction.transpose(1, 2)).transpose(0, 1).contiguous()
         pairs, _ = _between(incident, outgoing)
@@ -175,17 +175,17 @@ class Lit:
             counted = counted * self.occluder.visible(position[rows], direction, wanted=counted > 0, limit=limit)
         return pairs, irradiance * counted[..., None]
 
-    def place(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
+    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
         """Each in its own."""
         bins = rows[:, None] * self.length + torch.arange(self.length)
         return bins.flatten(), torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
 
-    def stand_in(self, bins: Tensor, mean: Tensor) -> Pairs:
+    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
         """Itself."""
         return Pairs.from_half_diff(*mean[:, None])
 
 
-def near(cos_h: Tensor) -> Tensor:
+def half_vector_weight(cos_h: Tensor) -> Tensor:
     """The weight s: 1 for half vectors near the normal, 0 far from it, smooth (3 t^2 - 2 t^3) in between."""
     inner, outer = math.cos(math.radians(NEAR)), math.cos(math.radians(FAR))
     t = ((cos_h - outer) / (inner - outer)).clamp(0, 1)

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import each
-from torchbrdf.render.transport.quadrature import Part
+from torchbrdf.parallel import thread_map
+from torchbrdf.render.transport.quadrature import Quadrature
 
 # Columns of a product at a time: more of them no longer fit the processor's cache.
 _AT_ONCE = 8
@@ -76,7 +76,7 @@ class Transport:
         self._turned: list[Block] | None = None
 
     @property
-    def kept(self) -> bool:
+    def in_memory(self) -> bool:
         """Whether the entries are in memory."""
         return not callable(self._blocks)
 
@@ -151,7 +151,7 @@ class Transport:
 
     def backward(self, gradient: Tensor) -> Tensor:
         """The transposed product, `(M, P, 3)` to `(M, N, 3)`."""
-        if self.kept and self._turned is None and gradient.device.type == "cpu":
+        if self.in_memory and self._turned is None and gradient.device.type == "cpu":
             self._turned = [block.transposed(self.count) for block in self.blocks]
         found = gradient.new_zeros(3, self.count, len(gradient))
         if self._turned is not None:
@@ -186,20 +186,20 @@ class _Product(torch.autograd.Function):
         return ctx.transport.backward(gradient), None
 
 
-Job = tuple[Part, Tensor]
+Job = tuple[Quadrature, Tensor]
 
 
-def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
+def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
     """The compact pairs `(1, N)`, float32, of a quadrature, and what gives its blocks, job after job.
 
     Pairs of directions that fall into one bin are taken for one, at their weighted mean place.
     """
     sums = [np.zeros((1 + part.dimensions, part.bins)) for part in parts]
 
-    def gather(job: Job) -> tuple[int, np.ndarray, list[np.ndarray]]:
+    def bin_sums(job: Job) -> tuple[int, np.ndarray, list[np.ndarray]]:
         part, rows = job
-        pairs, weight = part.make(rows)
-        bins, place = part.place(rows, pairs)
+        pairs, weight = part.samples(rows)
+        bins, place = part.bin(rows, pairs)
         heavy = weight.sum(-1).flatten()
         used = heavy > 0
         found, inverse = np.unique(bins[used].numpy(), return_inverse=True)
@@ -207,7 +207,7 @@ def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable
         own = [np.bincount(inverse, counted), *(np.bincount(inverse, counted * one) for one in place[:, used].numpy())]
         return parts.index(part), found, own
 
-    for k, there, own in each(gather, jobs):
+    for k, there, own in thread_map(bin_sums, jobs):
         sums[k][:, there] += np.stack(own)
     columns, known, first = [], [], 0
     for part, total in zip(parts, sums, strict=True):
@@ -217,7 +217,7 @@ def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable
         columns.append(column)
         first += len(filled)
         mean = torch.from_numpy(total[1:, filled] / total[0, filled])
-        known.append(part.stand_in(torch.from_numpy(filled), mean))
+        known.append(part.representatives(torch.from_numpy(filled), mean))
     if not first:
         raise DataError("scene: no light reaches what is seen of the object")
     names = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
@@ -225,18 +225,18 @@ def compact(jobs: Sequence[Job], parts: Sequence[Part]) -> tuple[Pairs, Callable
 
     def block(job: Job) -> Block:
         part, rows = job
-        pairs, weight = part.make(rows)
-        bins, _ = part.place(rows, pairs)
+        pairs, weight = part.samples(rows)
+        bins, _ = part.bin(rows, pairs)
         used = (weight > 0).any(-1)
         start = F.pad(used.sum(1).cumsum(0), (1, 0)).to(torch.int32)
         used = used.flatten()
         column = columns[parts.index(part)][bins[used]]
         return Block(rows, start, column, weight.reshape(-1, 3)[used].T.contiguous())
 
-    return Pairs(**whole), lambda: each(block, jobs)
+    return Pairs(**whole), lambda: thread_map(block, jobs)
 
 
-def gathered(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Part]) -> list[Block]:
+def merge_blocks(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Quadrature]) -> list[Block]:
     """The blocks of each part as one, with all rows."""
     own: list[list[Block]] = [[] for _ in parts]
     for (part, _), block in zip(jobs, blocks, strict=True):

@@ -2,35 +2,30 @@
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchbrdf.color import luminance, safe_power
 from torchbrdf.errors import DataError, ShapeError, UsageError
 
 # Added to every luminance before its logarithm, as the implementation that the paper used does.
 _DELTA = 1e-5
 
 
-def luminance(image: Tensor) -> Tensor:
-    """Luminance of linear `(..., 3)` with the primaries of ITU-R BT.709, `(...)`."""
-    return image[..., 0] * 0.2126 + image[..., 1] * 0.7152 + image[..., 2] * 0.0722
-
-
-def over(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
+def composite(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
     """Display values `(..., H, W, 3)` where `coverage` `(H, W)` is 1, a grey `background` where it is 0."""
     return torch.lerp(torch.full_like(display, background), display, coverage[..., None].to(display))
 
 
-def measured(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
+def log_average_and_white(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
     """The log-average and the white of luminances `(..., n)`, `(...)` each, float64."""
     light = light.to(torch.float64).clamp_min(0)
     log_average = (light + _DELTA).log().mean(-1).exp()
     return log_average, key * light.amax(-1) / log_average
 
 
-def displayed(
+def tonemap(
     image: Tensor, log_average: Tensor | float, white: Tensor | float, key: float = 0.18, gamma: float = 2.2
 ) -> Tensor:
     """What `ToneMap` does, also with numbers of their own for each of several pictures, `(..., 1)`."""
@@ -39,9 +34,7 @@ def displayed(
     scaled = luminance(image)[..., None] * exposure
     # L_d / Y without a division by Y, so that black has a finite gradient.
     ratio = exposure * (1 + scaled / white**2) / (1 + scaled)
-    shown = (image * ratio).clamp_max(1)
-    positive = shown > 0
-    return torch.where(positive, torch.where(positive, shown, 1).pow(1 / gamma), 0)
+    return safe_power((image * ratio).clamp_max(1), 1 / gamma)
 
 
 @dataclass(frozen=True)
@@ -84,21 +77,13 @@ class ToneMap:
         largest = float(light.max())
         if not (math.isfinite(largest) and largest > 0 and bool(light.isfinite().all())):
             raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
-        log_average, white = measured(light.flatten(), key)
+        log_average, white = log_average_and_white(light.flatten(), key)
         return cls(log_average.item(), white.item(), key, gamma, phi)
 
     def __call__(self, image: Tensor) -> Tensor:
         """Display values in [0, 1] of linear `(..., 3)`; negative values count as 0, with gradient 0."""
-        return displayed(image, self.log_average, self.white, self.key, self.gamma)
+        return tonemap(image, self.log_average, self.white, self.key, self.gamma)
 
     def to_dict(self) -> dict[str, float]:
         """The numbers by name, for a record."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, numbers: dict[str, Any]) -> "ToneMap":
-        """From what `to_dict` gave."""
-        try:
-            return cls(**numbers)
-        except TypeError:
-            raise DataError(f"ToneMap: expected {', '.join(cls.__annotations__)}; found {', '.join(numbers)}") from None

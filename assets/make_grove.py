@@ -1,4 +1,4 @@
-"""The project's own surroundings: a clearing among trees, with a low sun behind leaves."""
+"""Makes `grove.exr`, the bundled environment: a clearing among trees, with a low sun behind leaves."""
 
 import math
 
