@@ -61,7 +61,8 @@ def test_distinctness_is_of_luminance_and_has_a_limit():
     measured = Measured(Known(green, red_and_green, constant(0.3), constant(0.0), constant(-1.0)))
     found = distinctness_of_image(measured)
     assert found[0] == pytest.approx(math.degrees(0.1 * math.sqrt(math.log(1 / 0.3))), rel=1e-3)
-    assert found[1] == LARGEST_ANGLE == found[2]
+    # From the mirror direction at 30 degrees on one side to 89 degrees on the other.
+    assert found[1] == LARGEST_ANGLE == found[2] == 119
     assert found[3:].isnan().all()
 
 

@@ -268,6 +268,12 @@ def test_bad_files(tmp_path, size, dims, says, name):
     assert "\n" not in str(caught.value)
 
 
+def test_table_with_entries_below_the_horizon_only(tmp_path):
+    path = write_raw_merl(tmp_path / "bad.binary", np.where(merl_above(), -1.0, 1.0) * np.ones((3, *BINS)))
+    with pytest.raises(DataError, match=r"bad.binary: no valid entry"):
+        load(path)
+
+
 @pytest.mark.parametrize("fill", [np.nan, -1.0])
 def test_table_without_a_valid_entry(tmp_path, fill):
     path = write_raw_merl(tmp_path / "bad.binary", np.full((3, *BINS), fill))

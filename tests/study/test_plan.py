@@ -65,9 +65,10 @@ def test_every_stimulus_stands_on_either_side_as_often(count, index, seed):
         assert all(abs(left[name] - right[name]) <= 1 for name in NINE[:count])
 
 
-def test_two_observers_see_each_pair_on_either_side_and_in_their_own_order():
+@pytest.mark.parametrize("couple", range(6))
+def test_two_observers_see_each_pair_on_either_side_and_in_their_own_order(couple):
     plan = made(materials=3)
-    first, second = asked(plan, 4), asked(plan, 5)
+    first, second = asked(plan, 2 * couple), asked(plan, 2 * couple + 1)
     assert {(t.material, t.left, t.right) for t in first} == {(t.material, t.right, t.left) for t in second}
     assert [pair_of(t) for t in first] != [pair_of(t) for t in second]
 
