@@ -78,20 +78,31 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def _public_modules() -> dict[str, list[str]]:
-    """Every module directly in the package that says in `__all__` what it offers, and single files by their names."""
-    found = {"torchbrdf": _names(PACKAGE / "__init__.py")}
-    for path in sorted(PACKAGE.iterdir()):
+    """The package, and every module in it with what it offers; a module that a package offers comes after it."""
+    found: dict[str, list[str]] = {}
+    pending = [("torchbrdf", PACKAGE)]
+    pending += [(f"torchbrdf.{path.stem}", path) for path in sorted(PACKAGE.iterdir()) if not path.name.startswith("_")]
+    while pending:
+        name, path = pending.pop(0)
         source = path / "__init__.py" if path.is_dir() else path
-        if source.suffix != ".py" or not source.is_file() or path.name.startswith("_"):
+        if source.suffix != ".py" or not source.is_file():
             continue
-        if names := _names(source):
-            found[f"torchbrdf.{path.stem}"] = names
+        body = ast.parse(source.read_text(encoding="utf-8")).body
+        modules = [
+            alias.name
+            for node in body
+            if isinstance(node, ast.ImportFrom) and node.module == name
+            for alias in node.names
+        ]
+        names = _names(body, source)
+        pending[:0] = [(f"{name}.{module}", path / f"{module}.py") for module in names if module in modules]
+        if members := [member for member in names if member not in modules]:
+            found[name] = members
     return found
 
 
-def _names(source: Path) -> list[str]:
+def _names(body: list[ast.stmt], source: Path) -> list[str]:
     """What a module offers: its `__all__`; of a file without one, the public classes and functions defined in it."""
-    body = ast.parse(source.read_text(encoding="utf-8")).body
     for node in body:
         if isinstance(node, ast.Assign) and any(getattr(target, "id", "") == "__all__" for target in node.targets):
             return list(ast.literal_eval(node.value))
