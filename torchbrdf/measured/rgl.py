@@ -97,7 +97,9 @@ class RglFile:
 
 @FORMATS.register("rgl")
 class Rgl(BrdfFormat):
-    """RGL `.bsdf` files, isotropic, RGB. A name is the file's without `_rgb`, which tells it from the spectral file.
+    """The format of RGL's `.bsdf` files, isotropic, RGB.
+
+    A name is the file's without `_rgb`, which tells it from the spectral file.
 
     `pairs` are the directions of every measured value, wi at the file's theta_i, `(M, N)`; shorter files are padded
     with weight 0, as are directions below the horizon (what the file says there is extrapolated, and that it is so

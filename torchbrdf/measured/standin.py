@@ -19,8 +19,9 @@ from torchbrdf.pairs import Pairs
 
 @FORMATS.register("fits")
 class StandIn(BrdfFormat):
-    """Materials that are models: each record of a `fits.json` gives one, and its values are the model's, anywhere.
+    """The format of `fits.json`: models in the place of measurements.
 
+    Each record gives a material, whose values are the model's, anywhere.
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
     says that they are stand-ins. A material with several fits in a file is named with the model, lobes and loss.
     """
@@ -89,7 +90,14 @@ class StandIn(BrdfFormat):
 
 
 def standins() -> Path:
-    """The bundled stand-ins of the paper's ten materials, for `load`; assets/README.md says how they were made."""
+    """Path of the bundled stand-ins of the paper's ten materials, for `load`.
+
+    assets/README.md says how they were made.
+
+    Example:
+        >>> standins().name
+        'standins.json'
+    """
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
 
 

@@ -26,7 +26,7 @@ class Goodness:
 def goodness(
     wins: Tensor, scale: Tensor, draws: int = 1000, seed: int = 0, method: Method = "likelihood", prior: float = PRIOR
 ) -> Goodness:
-    """The likelihood-ratio test of a fitted scale `(M, n)` against a share for each pair; wins `(M, n, n)`.
+    """Likelihood-ratio test of goodness of fit: a scale `(M, n)` against a share for each pair; wins `(M, n, n)`.
 
     G^2 = 2 sum_ij w_ij log(p_ij / Phi(s_i - s_j)), p_ij the share of wins; degrees of freedom: the pairs compared,
     less n - 1. p is the share of G^2 that are as large among answers simulated with the scale and fitted again, because

@@ -25,7 +25,7 @@ _LOG_ROOT = 0.5 * math.log(2 * math.pi)
 
 
 def least_squares(wins: Tensor) -> Tensor:
-    """The classical scale `(..., n)`: least squares of s_i - s_j - z_ij over the pairs compared; wins `(..., n, n)`.
+    """Classical Thurstone scale `(..., n)` of wins `(..., n, n)`, by least squares of s_i - s_j - z_ij.
 
     z_ij = Phi^-1(p_ij) with p_ij the share of wins; 0 and 1 become 1/(2N) and 1 - 1/(2N), N comparisons of the pair.
     Where all pairs are compared, s_i is the mean of row i of z. Where the comparisons do not link all stimuli, nan.
@@ -46,8 +46,9 @@ def least_squares(wins: Tensor) -> Tensor:
 
 
 def map_estimate(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
-    """The scale `(..., n)` of the greatest posterior density, and its covariance `(..., n, n)`; wins `(..., n, n)`.
+    """Thurstone scale `(..., n)` of the greatest posterior density, and its covariance `(..., n, n)`.
 
+    wins: `(..., n, n)`.
     The maximum of sum_ij w_ij log Phi(s_i - s_j) - sum_i s_i^2 / (2 sigma^2), which is concave. Some pairs may be
     compared more often than others, or not at all. sigma^2 = prior^2 (n^2 - 1) / 12 is the variance of n values that
     are evenly spaced, `prior` units apart. The covariance is the inverse of the expected information, with the

@@ -55,9 +55,9 @@ class Scene:
         DataError: The mesh covers no pixel.
 
     Example:
-        >>> from torchbrdf.lobes import Lambert
+        >>> from torchbrdf.render import sphere
         >>> scene = Scene(sphere(2), size=8, nodes=8, light_samples=4)
-        >>> picture = scene.transport @ Lambert()(scene.pairs)[None]
+        >>> picture = scene.transport @ torch.ones(1, len(scene.pairs), 3)  # a BRDF that is 1 / sr everywhere
         >>> picture.shape
         torch.Size([1, 8, 8, 3])
     """

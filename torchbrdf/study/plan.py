@@ -37,7 +37,15 @@ TEXTS = {
 
 @dataclass(frozen=True)
 class Stimulus:
-    """A picture that can be chosen. `difference`: its image difference from the reference, if known."""
+    """Stimulus of a study: a picture that can be chosen.
+
+    Args:
+        picture: The file.
+        model: The lobe that it shows.
+        loss: The loss that it was fitted under.
+        outlier: Whether the fit failed.
+        difference: Its image difference from the reference, if known.
+    """
 
     picture: str
     model: str | None = None
@@ -48,9 +56,13 @@ class Stimulus:
 
 @dataclass(frozen=True)
 class Material:
-    """A material: the picture that is the reference, its stimuli by name, and where it stands among the others.
+    """Material of a study: the picture that is the reference, and its stimuli.
 
-    order: materials are drawn by rising `order`, such as the distinctness of image in degrees.
+    Args:
+        name: Of the material.
+        reference: The file of the reference.
+        stimuli: By name.
+        order: Materials are drawn by rising `order`, such as the distinctness of image in degrees.
     """
 
     name: str
@@ -61,11 +73,20 @@ class Material:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Which stimuli of each material are compared.
+    """Experiment of a study: which stimuli of each material are compared.
 
-    pairs: those pairs of names; None: all. compare: every observer compares each stimulus with only so many others,
-    other ones for every observer (for many stimuli). repeats: so many trials come a second time, sides changed. catch:
-    so many trials show the measured material itself beside the picture that differs most.
+    Args:
+        name: Of the experiment.
+        title: Shown in reports.
+        stimuli: Names of stimuli, two or more.
+        pairs: Those pairs of names only; None: all.
+        compare: Every observer compares each stimulus with only so many others, other ones for every observer (for
+            many stimuli).
+        repeats: So many trials come a second time, sides changed.
+        catch: So many trials show the measured material itself beside the picture that differs most.
+
+    Raises:
+        UsageError: The settings do not fit together.
     """
 
     name: str
@@ -95,11 +116,21 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study: materials, experiments, the words shown (`TEXTS`), and who may take part.
+    """Plan of a study: materials, experiments, the words shown, and who may take part.
 
-    screening: self-reports and the answers that are let in, such as {"colour_vision": ("normal",)}; others are
-    thanked and not asked anything. mark: what has to be said wherever answers are shown, such as that the materials
-    are no measurements. Pictures are named relative to the folder that the plan is in.
+    Pictures are named relative to the folder that the plan is in.
+
+    Args:
+        materials: With their pictures.
+        experiments: With names of stimuli that all materials have.
+        seed: Of the order of trials.
+        texts: Words shown to observers in place of those in `TEXTS`.
+        screening: Self-reports and the answers that make eligible, such as {"colour_vision": ("normal",)}; others are
+            thanked and not asked anything.
+        mark: What has to be said wherever answers are shown, such as that the materials are no measurements.
+
+    Raises:
+        UsageError: Names are not unique or not known.
     """
 
     materials: tuple[Material, ...]

@@ -23,7 +23,10 @@ _ROOM = 2 * 2**30
 
 
 def cache_folder() -> Path:
-    """Where the command line keeps transports: TORCHBRDF_CACHE, or `torchbrdf` in the user's folder of caches."""
+    """Folder where the command line keeps transports.
+
+    TORCHBRDF_CACHE, or `torchbrdf` in the user's folder of caches.
+    """
     given = os.environ.get("TORCHBRDF_CACHE")
     if given:
         return Path(given)

@@ -63,11 +63,14 @@ class Block:
 
 
 class Transport:
-    """What makes the picture of values on a scene's pairs: `transport @ values`, or `transport.pixels(values)`.
+    """Light transport matrix: what makes the picture of BRDF values on a scene's pairs, `transport @ values`.
 
-    count: N, the pairs; index: `(P,)`, where each row of the matrix is in the picture, row by row; size: of the square
-    picture. The entries come in blocks, each row in one or several of them: kept in memory, or, where that would be too
-    much, made anew for each product.
+    Args:
+        count: N, the pairs.
+        index: Where each of the P rows of the matrix is in the picture, `(P,)`, row by row.
+        size: Pixels of a side of the picture.
+        blocks: The entries, each row in one or several blocks: kept in memory, or, where that would be too much, a
+            function that makes them anew for each product.
     """
 
     def __init__(self, count: int, index: Tensor, size: int, blocks: Sequence[Block] | Callable[[], Iterator[Block]]):
@@ -91,7 +94,11 @@ class Transport:
         return sum(len(block.column) for block in self.blocks)
 
     def __matmul__(self, values: Tensor) -> Tensor:
-        """The linear picture `(M, size, size, 3)` of values `(M, N, 3)` in 1/sr, 0 where nothing is; differentiable."""
+        """The linear picture `(M, size, size, 3)` of values `(M, N, 3)` in 1/sr, 0 where nothing is; differentiable.
+
+        Raises:
+            ShapeError: The values are not on the scene's pairs.
+        """
         return self.picture(self.pixels(values))
 
     def picture(self, pixels: Tensor) -> Tensor:
