@@ -115,20 +115,20 @@ class Samples(BrdfFormat):
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Never: these do not come from files."""
+        """Whether a file is of this format: never, since samples do not come from files."""
         return False
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "Samples":
-        """Not possible."""
+        """Refuse: samples do not come from files, and have no values between their pairs."""
         raise DataError(f"{paths[0]}: samples do not come from files")
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """The given values and weights."""
+        """The given values `(m, n, 3)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Not possible."""
+        """Refuse: samples do not come from files, and have no values between their pairs."""
         raise DataError(
             "these samples have no values between their pairs; load a table, or fit a model and render that"
         )
@@ -200,7 +200,7 @@ class Measured:
 
     @property
     def names(self) -> list[str]:
-        """The materials' names."""
+        """Names of the materials."""
         return [self.source.names[k] for k in self.materials]
 
     @property
@@ -263,7 +263,7 @@ class Measured:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """The directions, `(1, N)` shared by all materials or `(M, N)`."""
+        """Directions of the samples, `(1, N)` shared by all materials or `(M, N)`."""
         return self.source.pairs.select(self.materials, self.samples).to(self.device, self.dtype)
 
     @cached_property
@@ -287,7 +287,7 @@ class Measured:
 
     @property
     def weight(self) -> Tensor:
-        """1 where a sample is valid, else 0, `(M, N, 1)`."""
+        """Weight of each sample: 1 where it is valid, else 0, `(M, N, 1)`."""
         return self._data[1]
 
     def at(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Tensor:

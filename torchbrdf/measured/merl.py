@@ -55,12 +55,12 @@ class Merl(BrdfFormat):
 
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]
-        """The bin centres, `(1, N)`."""
+        """Directions of the bins' centres, `(1, N)`."""
         return bin_centers()
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """By the three dimensions in front, also where they are not quite right, or by the size."""
+        """Whether it is a MERL table, by the three dimensions in front, even if not quite right, or by the size."""
         size = path.stat().st_size
         if len(head) < HEADER.size:
             return False
@@ -70,7 +70,7 @@ class Merl(BrdfFormat):
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "Merl":
-        """Open tables; DataError for wrong dimensions, a wrong size, or no valid entry."""
+        """Open MERL tables; DataError for wrong dimensions, a wrong size, or no valid entry."""
         source = cls(paths)
         for material in range(len(paths)):
             source._check(material)
@@ -130,7 +130,7 @@ class Merl(BrdfFormat):
         return rows[..., :3], rows[..., 3:]
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
+        """Values at any pairs, trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
 
         phi_d is mirrored at its ends (reciprocity and isotropy: bin -1 is bin 0, bin 180 is bin 179); theta_h and
         theta_d keep the value of the last bin beyond its centre. Without a valid neighbour it is the value of the

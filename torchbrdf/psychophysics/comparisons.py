@@ -77,7 +77,7 @@ class Comparisons:
 
     @property
     def total(self) -> Tensor:
-        """The wins of all observers, `(M, n, n)`."""
+        """Wins of all observers together, `(M, n, n)`."""
         return self.wins.sum(0)
 
     @property
@@ -92,7 +92,7 @@ class Comparisons:
         return (self.compared > 0).any(-1)
 
     def select(self, observers: Sequence[int]) -> "Comparisons":
-        """The answers of some observers, by their numbers; materials and stimuli stay where they are."""
+        """Comparisons of some observers, by their numbers; materials and stimuli stay where they are."""
         return replace(
             self, observers=[self.observers[k] for k in observers], wins=self.wins[torch.tensor(observers).long()]
         )

@@ -44,14 +44,14 @@ def montag(stimuli: Tensor, observations: Tensor) -> Tensor:
 
 
 def fitted(wins: Tensor, method: Method, prior: float = PRIOR) -> Tensor:
-    """The scale `(..., n)` of wins `(..., n, n)` by a method's name."""
+    """Scale `(..., n)` of wins `(..., n, n)` by a method's name."""
     if method not in get_args(Method):
         raise unknown("method of scaling", method, get_args(Method))
     return least_squares(wins) if method == "least_squares" else maximum(wins, prior)
 
 
 def covariances(comparisons: Comparisons, scale: Tensor, method: Method, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
-    """Two covariances `(M, n, n)` of a scale `(M, n)`: by the model, and by how observers differ.
+    """Covariances `(M, n, n)` of a scale `(M, n)`: by the model, and by how observers differ.
 
     The first takes all answers for independent. The second, O / (O - 1) sum_o (A u_o) (A u_o)^T, allows for observers
     who have their own preferences: u_o is what the answers of observer o pull at the scale, and A how far it gives.

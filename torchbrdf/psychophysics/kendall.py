@@ -56,7 +56,7 @@ def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
 
 
 def complete(wins: Tensor) -> Tensor:
-    """Whether, of two or more stimuli, each pair was judged once: wins `(..., n, n)` to bool `(...)`."""
+    """Complete designs, bool `(...)`: whether each pair of two or more stimuli was judged once; wins `(..., n, n)`."""
     asked = wins + wins.mT
     present = (asked > 0).any(-1)
     due = (present.unsqueeze(-1) & present.unsqueeze(-2)).to(wins) - torch.diag_embed(present.to(wins))

@@ -12,7 +12,7 @@ from torchbrdf.psychophysics.thurstone import PRIOR
 
 @dataclass(frozen=True)
 class Goodness:
-    """A test of the model for each material: the statistic G^2, its degrees of freedom, and p, `(M,)`.
+    """Test of goodness of fit for each material: the statistic G^2, its degrees of freedom, and p, `(M,)`.
 
     A small p says that no scale explains the answers: they are circular, or the unit is not the same everywhere. p is
     nan without degrees of freedom, as with two stimuli, and without draws.
@@ -55,7 +55,7 @@ def goodness(
 
 
 def likelihood_ratio(wins: Tensor, scale: Tensor) -> Tensor:
-    """G^2 `(...)` of wins `(..., n, n)` and a scale `(..., n)`; see `goodness`."""
+    """Likelihood-ratio statistic G^2 `(...)` of wins `(..., n, n)` and a scale `(..., n)`; see `goodness`."""
     difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
     share = wins / (wins + wins.mT).clamp(min=1)
     return 2 * (torch.special.xlogy(wins, share) - wins * torch.special.log_ndtr(difference)).sum((-2, -1))

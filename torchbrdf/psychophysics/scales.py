@@ -37,7 +37,7 @@ class Scales:
     method: Method
 
     def difference(self, material: int, i: int, j: int) -> tuple[float, float, float]:
-        """How much higher stimulus i is than stimulus j, and the 95 % interval of that: value, low, high."""
+        """Difference of stimuli i and j on a material's scale, with its 95 % interval: value, low, high."""
         value = float(self.value[material, i] - self.value[material, j])
         both = torch.stack([self.covariance[material], self.between[material]])
         variance = (both[:, i, i] + both[:, j, j] - 2 * both[:, i, j]).clamp(min=0).max()

@@ -89,7 +89,7 @@ class Answer:
 
 
 def simulated(answers: Iterable[Answer]) -> bool:
-    """Whether any of the observers is no person."""
+    """Whether any of the answers' observers is simulated, no person."""
     return any(answer.observer.startswith(SIMULATED) for answer in answers)
 
 

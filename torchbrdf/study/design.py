@@ -66,7 +66,7 @@ def trials(plan: Plan, experiment: Experiment, index: int) -> list[Trial]:
 
 
 def mirrored(trial: Trial) -> Trial:
-    """The trial with its sides changed."""
+    """A trial with its sides changed."""
     return replace(trial, left=trial.right, right=trial.left)
 
 

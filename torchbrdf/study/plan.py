@@ -185,18 +185,22 @@ class Plan:
         raise unknown("material", name, [material.name for material in self.materials])
 
     def text(self, key: str) -> str:
-        """Words to show."""
+        """A text to show to observers, the plan's or the default."""
         return self.texts.get(key, TEXTS[key])
 
     def save(self, folder: Path | str) -> Path:
-        """Write `study.json` into a folder; gives its path."""
+        """Write the plan as `study.json` into a folder; gives its path."""
         path = Path(folder) / PLAN
         write_text(path, json.dumps(asdict(self), indent=1) + "\n")
         return path
 
     @classmethod
     def load(cls, folder: Path | str) -> "Plan":
-        """The plan in a folder. A DataError says what is not as expected, or which picture is missing."""
+        """Read the plan in a folder.
+
+        Raises:
+            DataError: Says what is not as expected, or which picture is missing.
+        """
         path = Path(folder) / PLAN
         try:
             plan = cls._from(json.loads(path.read_text(encoding="utf-8")))
@@ -234,7 +238,7 @@ class Plan:
 
 
 def inside(folder: Path, picture: str, where: Path) -> Path:
-    """The path of a picture in a folder; a DataError if it is not there, or leads out of it."""
+    """Path of a picture in a folder; a DataError if it is not there, or leads out of it."""
     path = (folder / picture).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise DataError(f"{where}: expected pictures in {folder}, found {picture}")
@@ -244,7 +248,7 @@ def inside(folder: Path, picture: str, where: Path) -> Path:
 
 
 def catch_pair(material: Material, experiment: Experiment) -> tuple[str, str] | None:
-    """The measured material, which is right, and the stimulus that differs most from it; None where not known."""
+    """Pair of a catch trial: the measured material, which is right, and the stimulus that differs most; None if unknown."""
     known = {
         name: material.stimuli[name].difference or 0.0
         for name in experiment.stimuli

@@ -30,9 +30,12 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Statistic:
-    """Statistic of the benchmark, one column. rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what
-    disagreement between people lets anything reach of each comparison, or None if it is about no single answers.
-    added: the method that it has beside those of the main columns."""
+    """Statistic of the benchmark, one column of its table.
+
+    rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what disagreement between
+    people lets anything reach of each comparison, or None if it is about no single answers. added: the method that it
+    has beside those of the main columns.
+    """
 
     key: str
     label: str

@@ -41,7 +41,7 @@ class FactorModel(nn.Module):
         self.register_buffer("rows", rows)
 
     def forward(self, pairs: Pairs) -> Tensor:
-        """The values, `(M, N, 3)`."""
+        """BRDF values in 1/sr, `(M, N, 3)`."""
         diffuse, specular = self.rows[:, :1], self.rows[:, 1:2]
         d, g, f = self.rows[:, 2:].split(FACTOR_BINS, 1)
         quarter = math.pi / 2

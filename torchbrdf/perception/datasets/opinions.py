@@ -50,7 +50,7 @@ class Opinions:
         return (variance / VOTES).sqrt() / 4
 
     def select(self, rows: list[int]) -> "Opinions":
-        """Some of the rows, by index."""
+        """Opinions of some of the rows, by index."""
         return Opinions(
             [self.methods[row] for row in rows],
             [self.materials[row] for row in rows],

@@ -44,7 +44,7 @@ class Triplets:
 
     @property
     def decided(self) -> Tensor:
-        """Whether one candidate has more votes than the other, `(T,)`; the others are ties."""
+        """Decided questions: whether one candidate has more votes than the other, `(T,)`; the others are ties."""
         return self.votes[:, 0] != self.votes[:, 1]
 
     def select(self, chosen: Tensor) -> "Triplets":

@@ -176,7 +176,7 @@ class Environment:
         return found.reshape(*directions.shape[:-1], 3)
 
     def light_samples(self, count: int) -> EnvironmentSamples:
-        """At most `count` lights that stand for the whole environment with the same flux.
+        """Importance samples of the environment: at most `count` lights that together have its flux.
 
         The map is a quadtree. Where the luminance-weighted variance of direction times flux, the leading term of what
         one light in a node's place gets wrong, is largest, the node is split; each leaf becomes a light at its
