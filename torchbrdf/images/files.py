@@ -20,10 +20,26 @@ _RESOLUTION = re.compile(rb"([-+][XY]) (\d{1,9}) ([-+][XY]) (\d{1,9})")
 
 
 def read_image(path: str | Path) -> Tensor:
-    """A linear picture `(H, W, 3)`, float32, top row first, from an OpenEXR or a Radiance file.
+    """Read a linear picture from an OpenEXR or a Radiance file.
 
     OpenEXR: channels R, G, B or Y alone (made grey), half or float. Radiance: RGBE, flat or run-length encoded,
-    divided by its EXPOSURE; a mantissa m stands for m 2^(e - 136). Anything else is a DataError.
+    divided by its EXPOSURE; a mantissa m stands for m 2^(e - 136).
+
+    Args:
+        path: The file; its content says which it is.
+
+    Returns:
+        Linear values, `(H, W, 3)`, float32, top row first.
+
+    Raises:
+        DataError: The file is anything else, damaged, or too large.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_exr(f"{folder}/white.exr", torch.ones(2, 3, 3))
+        ...     read_image(f"{folder}/white.exr").shape
+        torch.Size([2, 3, 3])
     """
     path = Path(path)
     try:
@@ -40,9 +56,15 @@ def read_image(path: str | Path) -> Tensor:
 
 
 def write_exr(path: str | Path, image: Tensor) -> None:
-    """Write a linear picture `(H, W, 3)` as OpenEXR: 16 bits a value if it is float16, else 32.
+    """Write a linear picture as OpenEXR.
 
-    The file appears when it is complete.
+    Args:
+        path: The file, which appears when it is complete.
+        image: Linear, `(H, W, 3)`; 16 bits a value if it is float16, else 32.
+
+    Raises:
+        ShapeError: The picture has another shape.
+        DataError: The file cannot be written.
     """
     precision = torch.float16 if image.dtype == torch.float16 else torch.float32
     pixels = np.ascontiguousarray(_picture(image).to(precision).numpy())
@@ -52,7 +74,16 @@ def write_exr(path: str | Path, image: Tensor) -> None:
 
 
 def write_png(path: str | Path, image: Tensor) -> None:
-    """Write display values in [0, 1], `(H, W, 3)`, rounded to 8 bits. The file appears when it is complete."""
+    """Write display values as an 8-bit PNG.
+
+    Args:
+        path: The file, which appears when it is complete.
+        image: Display values, `(H, W, 3)`, clamped to [0, 1].
+
+    Raises:
+        ShapeError: The picture has another shape.
+        DataError: The file cannot be written.
+    """
     pixels = (_picture(image).to(torch.float32).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     with replacing(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")

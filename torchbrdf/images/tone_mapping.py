@@ -14,12 +14,35 @@ _DELTA = 1e-5
 
 
 def composite(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
-    """Display values `(..., H, W, 3)` where `coverage` `(H, W)` is 1, a grey `background` where it is 0."""
+    """Lay a picture over a grey background.
+
+    Args:
+        display: Display values, `(..., H, W, 3)`.
+        coverage: The share of each pixel that the picture covers, 0 to 1, `(H, W)`.
+        background: The display value of the grey.
+
+    Returns:
+        Display values, `(..., H, W, 3)`.
+
+    Example:
+        >>> composite(torch.ones(1, 2, 3), torch.tensor([[0.0, 1.0]]))[0, :, 0]
+        tensor([0.5000, 1.0000])
+    """
     return torch.lerp(torch.full_like(display, background), display, coverage[..., None].to(display))
 
 
 def log_average_and_white(light: Tensor, key: float = 0.18) -> tuple[Tensor, Tensor]:
-    """The log-average and the white of luminances `(..., n)`, `(...)` each, float64."""
+    """What Reinhard's global operator measures of pictures: log-average luminance and white.
+
+    Args:
+        light: Luminances of the pixels of each picture, `(..., n)`.
+        key: The display luminance of the log-average.
+
+    Returns:
+        The log-average, in the unit of `light`, and the scaled luminance that becomes white, `(...)` each, float64.
+
+    Source: see `ToneMap`.
+    """
     light = light.to(torch.float64).clamp_min(0)
     log_average = (light + _DELTA).log().mean(-1).exp()
     return log_average, key * light.amax(-1) / log_average
@@ -28,7 +51,24 @@ def log_average_and_white(light: Tensor, key: float = 0.18) -> tuple[Tensor, Ten
 def tonemap(
     image: Tensor, log_average: Tensor | float, white: Tensor | float, key: float = 0.18, gamma: float = 2.2
 ) -> Tensor:
-    """What `ToneMap` does, also with numbers of their own for each of several pictures, `(..., 1)`."""
+    """Tone-map linear pictures by Reinhard's global operator, the functional form of `ToneMap`.
+
+    Args:
+        image: Linear radiance, `(..., 3)`; negative values count as 0, with gradient 0.
+        log_average: As `log_average_and_white` gives it; a number, or one for each of several pictures, `(..., 1)`.
+        white: The same.
+        key: The display luminance of the log-average.
+        gamma: Of the display.
+
+    Returns:
+        Display values in [0, 1], `(..., 3)`.
+
+    Source: see `ToneMap`.
+
+    Example:
+        >>> tonemap(torch.tensor([0.0, 0.0, 0.0]), log_average=0.5, white=2.0)
+        tensor([0., 0., 0.])
+    """
     image = image.clamp_min(0)
     exposure = key / log_average
     scaled = luminance(image)[..., None] * exposure
@@ -47,8 +87,24 @@ class ToneMap:
     `from_images` therefore takes the largest of the composite. `phi` is the sharpness of the operator's local form;
     the paper lists it, the global form has no use for it: it is recorded and ignored.
 
+    Args:
+        log_average: Of the luminances of the picture that it was measured on, in their unit.
+        white: The scaled luminance that becomes white.
+        key: The display luminance of the log-average.
+        gamma: Of the display.
+        phi: Recorded and ignored.
+
+    Raises:
+        UsageError: A number is not above 0.
+
     Source: E. Reinhard et al., Photographic Tone Reproduction for Digital Images, 2002, doi:10.1145/566654.566575,
     eq. 1, 2 and 4.
+
+    Example:
+        >>> tone = ToneMap.from_images(torch.tensor([[[1.0, 1.0, 1.0], [0.1, 0.1, 0.1]]]))
+        >>> tone(torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]))
+        tensor([[1., 1., 1.],
+                [0., 0., 0.]])
     """
 
     log_average: float
@@ -66,7 +122,19 @@ class ToneMap:
     def from_images(
         cls, images: Tensor, mask: Tensor | None = None, key: float = 0.18, gamma: float = 2.2, phi: float = 1.0
     ) -> "ToneMap":
-        """Measured over the composite of linear `images` `(..., H, W, 3)`, where `mask` `(..., H, W)` is true."""
+        """Tone map measured on pictures, over all of them together.
+
+        Args:
+            images: Linear, `(..., H, W, 3)`.
+            mask: Which pixels count, `(..., H, W)`; by default all.
+            key: As for the class.
+            gamma: As for the class.
+            phi: As for the class.
+
+        Raises:
+            ShapeError: The images have other than three channels.
+            DataError: No pixel counts, a value is not finite, or all are black.
+        """
         if images.shape[-1:] != (3,):
             raise ShapeError(f"ToneMap: expected images (..., 3), found {(*images.shape,)}")
         light = luminance(images.detach()).clamp_min(0)

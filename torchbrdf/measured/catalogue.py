@@ -26,7 +26,17 @@ PAPER_TEN = (
 
 
 def merl_name(path: str | Path) -> str | None:
-    """The material of which this is MERL's own file, by its checksum; None if it is none of them."""
+    """Name of the MERL material whose own file this is, by its checksum.
+
+    Args:
+        path: Any file.
+
+    Returns:
+        One of `MERL_NAMES`, or None if it is none of MERL's files.
+
+    Raises:
+        DataError: The file cannot be read.
+    """
     try:
         with Path(path).open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -36,7 +46,11 @@ def merl_name(path: str | Path) -> str | None:
 
 
 def is_merl(path: str | Path) -> bool:
-    """Whether a file is one of MERL's own, by its checksum."""
+    """Whether a file is one of MERL's own, by its checksum.
+
+    Raises:
+        DataError: The file cannot be read.
+    """
     return merl_name(path) is not None
 
 

@@ -11,10 +11,17 @@ from torchbrdf.measured.measured import Measured
 
 
 def describe(path: str | Path) -> dict[str, object]:
-    """Facts about one file, by name, in an order to print: sizes, validity, diffuse albedo, gloss, range of values.
+    """Facts about one file of measured BRDFs: sizes, validity, diffuse albedo, gloss, range of values.
 
-    Lists have one entry a channel, figures that do not exist are None, and formats add what only they know. Where a
-    file has several materials, each has its facts under its name. A file that is none is a DataError.
+    Args:
+        path: The file.
+
+    Returns:
+        Facts by name, in an order to print. Lists have one entry a channel, figures that do not exist are None, and
+        formats add what only they know. Where a file has several materials, each has its facts under its name.
+
+    Raises:
+        DataError: The file is no measured BRDF.
     """
     measured = load(path, dtype=torch.float64)
     facts: dict[str, object] = {
@@ -34,11 +41,11 @@ def _material(measured: Measured) -> dict[str, object]:
         "lowest value, 1/sr": values[valid].amin(0).tolist(),
         "highest value, 1/sr": values[valid].amax(0).tolist(),
         "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist(),
-        "distinctness of image, degrees": _figure(distinctness_of_image(measured)[0].item()),
-        "contrast gloss": _figure(contrast_gloss(measured)[0].item()),
+        "distinctness of image, degrees": _finite(distinctness_of_image(measured)[0].item()),
+        "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
     return facts | measured.source.details(measured.materials[0])
 
 
-def _figure(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -24,11 +24,23 @@ LARGEST_ANGLE = 119.0
 
 
 def distinctness_of_image(measured: Measured) -> Tensor:
-    """The angle off the mirror direction at which luminance has fallen to 0.3 of its value there, degrees, `(M,)`.
+    """Distinctness of image: how far off the mirror direction luminance has fallen to 0.3 of its value there.
 
     The light stands at 30 degrees, and the viewer moves from the mirror direction towards the normal and on. Linear
-    between steps of 0.02 degrees; 119 where it never falls so far, nan where there is no light to begin with. Small
-    for sharp lobes.
+    between steps of 0.02 degrees. Small for sharp lobes.
+
+    Args:
+        measured: M materials.
+
+    Returns:
+        Degrees, `(M,)`; 119 where it never falls so far, nan where there is no light to begin with.
+
+    Source: see the module, for the dimensions of gloss and for how the paper's sentence is read.
+
+    Example:
+        >>> from torchbrdf.measured import load, standins
+        >>> distinctness_of_image(load(standins()).batch([6])).shape
+        torch.Size([1])
     """
     off = torch.arange(0, LARGEST_ANGLE + STEP / 2, STEP, dtype=torch.float64)
     along = _luminance(measured, torch.full_like(off, LIGHT), off - LIGHT)
@@ -43,7 +55,16 @@ def distinctness_of_image(measured: Measured) -> Tensor:
 
 
 def contrast_gloss(measured: Measured) -> Tensor:
-    """log10 of luminance at 30:30, the mirror direction, over luminance at 45:0, `(M,)`; nan if one is not positive."""
+    """Contrast gloss: log10 of luminance at 30:30, the mirror direction, over luminance at 45:0.
+
+    Args:
+        measured: M materials.
+
+    Returns:
+        `(M,)`; nan if either luminance is not positive.
+
+    Source: see the module.
+    """
     light, viewer = torch.tensor([[LIGHT, 45.0], [-LIGHT, 0.0]], dtype=torch.float64)
     mirror, diffuse = _luminance(measured, light, viewer).clamp_min(0).unbind(-1)
     ratio = mirror / diffuse

@@ -14,10 +14,28 @@ Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
 def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Measured:
-    """The materials of a file, of several files, or of a folder's files; all of one format.
+    """Load measured BRDFs from a file, several files, or a folder; all of one format.
 
-    A folder gives the files in it that are of a known format, sorted by name, and no others. Names are those of the
-    files, without suffix; where two are the same, with the folder's name in front. Bad input is a DataError.
+    Args:
+        paths: Files, or folders, which give the files in them that are of a known format, sorted by name. The format
+            is told by a file's content.
+        dtype: Of the values; by default torch's default dtype.
+        device: Of the values; by default the CPU.
+
+    Returns:
+        All materials of all files. Names are those of the files, without suffix; where two are the same, with the
+        folder's name in front.
+
+    Raises:
+        DataError: There is no file, a file is bad, or the formats differ.
+
+    Example:
+        >>> from torchbrdf.measured import standins
+        >>> measured = load(standins())
+        >>> measured.names[:2]
+        ['alum-bronze', 'aluminium']
+        >>> measured.batch([0], samples=torch.arange(5)).values.shape
+        torch.Size([1, 5, 3])
     """
     files = _files(paths)
     groups = _by_format(files)
@@ -35,9 +53,24 @@ def load_all(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
 ) -> list[Measured]:
-    """As `load`, one Measured for each format found.
+    """Load measured BRDFs of mixed formats, one `Measured` for each format found.
 
-    Bad files raise the first DataError; with a list for `bad`, the errors are put there and the other files loaded.
+    Args:
+        paths: As for `load`.
+        bad: A list that takes the errors of bad files, so that the others are loaded; None raises the first.
+        dtype: As for `load`.
+        device: As for `load`.
+
+    Returns:
+        One `Measured` a format, in the order in which the formats were found.
+
+    Raises:
+        DataError: There is no file; or a file is bad and `bad` is None.
+
+    Example:
+        >>> from torchbrdf.measured import standins
+        >>> [measured.source.format for measured in load_all([standins()])]
+        ['fits']
     """
     groups = _by_format(_files(paths, bad), bad)
     if bad is not None:

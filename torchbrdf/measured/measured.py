@@ -20,17 +20,28 @@ FORMATS: Registry[type["BrdfFormat"]] = Registry("format", "torchbrdf.measured")
 
 
 class Lookup(NamedTuple):
-    """Values at some pairs, `(M, N, 3)`, and for how many each material had no valid neighbour, `(M,)`."""
+    """Interpolated values, and how many of them had no valid neighbour.
+
+    Attributes:
+        values: BRDF values in 1/sr, `(M, N, 3)`.
+        filled: Of each material, how many pairs took the nearest valid value, `(M,)`, int64.
+    """
 
     values: Tensor
     filled: Tensor
 
 
 class BrdfFormat(ABC):
-    """The data of M materials in one format. A format is a file with a registered subclass of this.
+    """Base of file formats: the data of M materials, read from files. A format is a registered subclass.
 
-    `pairs` are the directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`. `suffixes` are those that
-    no other kind of file has: a file so named that is not of the format is a bad one, and not one to pass over.
+    Attributes:
+        format: The name of the format.
+        suffixes: Those that no other kind of file has: a file so named that is not of the format is a bad one, and not
+            one to pass over.
+        names: Of the materials, M.
+        paths: The file of each material.
+        pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
+        stand_in: Whether the values come from a model that stands in for a measurement.
     """
 
     format: ClassVar[str]
@@ -43,20 +54,38 @@ class BrdfFormat(ABC):
     @classmethod
     @abstractmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether a file is of this format, by its first 64 bytes (and its size)."""
+        """Whether a file is of this format, by `head`, its first 64 bytes (and its size)."""
 
     @classmethod
     @abstractmethod
     def open(cls, paths: Sequence[Path]) -> "BrdfFormat":
-        """Open files that `recognises` said yes to; a DataError names the first that is bad."""
+        """Open files that `recognises` said yes to.
+
+        Raises:
+            DataError: Names the first file that is bad.
+        """
 
     @abstractmethod
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """Values `(m, n, 3)` and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0."""
+        """The measured values of some materials at some of `pairs`.
+
+        Args:
+            materials: Indices of m materials.
+            samples: Indices `(n,)` of pairs, or a slice of them.
+
+        Returns:
+            Values in 1/sr, `(m, n, 3)`, and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0.
+        """
 
     @abstractmethod
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon. dtype and device are the pairs'."""
+        """Values at any pairs, zero below the horizon.
+
+        Args:
+            pairs: `(1, N)`, or `(m, N)` with pairs of each material's own; dtype and device of the values are theirs.
+            materials: Indices of m materials.
+            interpolation: "linear" or "nearest".
+        """
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
@@ -64,7 +93,10 @@ class BrdfFormat(ABC):
 
 
 class Samples(BrdfFormat):
-    """Values that somebody already has as tensors: exactly where they were measured and nowhere else."""
+    """The format of values that somebody already has as tensors, see `Measured.from_samples`.
+
+    They are known exactly where they were measured and nowhere else: `at` raises a DataError.
+    """
 
     format = "samples"
 
@@ -83,30 +115,47 @@ class Samples(BrdfFormat):
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Never: these do not come from files."""
+        """Whether a file is of this format: never, since samples do not come from files."""
         return False
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "Samples":
-        """Not possible."""
+        """Refuse: samples do not come from files, and have no values between their pairs."""
         raise DataError(f"{paths[0]}: samples do not come from files")
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """The given values and weights."""
+        """The given values `(m, n, 3)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Not possible."""
+        """Refuse: samples do not come from files, and have no values between their pairs."""
         raise DataError(
             "these samples have no values between their pairs; load a table, or fit a model and render that"
         )
 
 
 class Measured:
-    """M measured materials on N pairs: `.pairs`, `.values` (M, N, 3) in 1/sr without the cosine, `.weight` (M, N, 1).
+    """Measured BRDFs of M materials on N pairs of directions, from `load` or from `from_samples`.
 
-    Tables are big: `.values` and `.weight` are read at first use, and `.batch` gives a part that reads only its own.
-    Invalid samples have weight 0 and value 0. `load(paths)` makes one from files, `Measured.from_samples` from tensors.
+    `pairs` are the directions, `values` `(M, N, 3)` the BRDF in 1/sr without the cosine, and `weight` `(M, N, 1)` is 1
+    for valid samples; invalid ones have weight 0 and value 0. Tables are big: values and weights are read at first
+    use, and `batch` gives a part that reads only its own.
+
+    Args:
+        source: What reads the values.
+        materials: Indices of M of the source's materials; by default all.
+        samples: Indices `(N,)` of the source's pairs; by default all.
+        max_theta: Samples with a direction farther than this from the normal, in degrees, have weight 0.
+        dtype: Of pairs, values and weights; by default torch's default dtype.
+        device: Of pairs, values and weights; by default the CPU.
+
+    Example:
+        >>> from torchbrdf.measured import load, standins
+        >>> measured = load(standins()).batch([5, 0])
+        >>> measured
+        Measured(fits: light-red-paint, alum-bronze; 2 materials, 1096216 pairs)
+        >>> len(measured.within(80).pairs)
+        909696
     """
 
     def __init__(
@@ -129,12 +178,29 @@ class Measured:
     def from_samples(
         cls, pairs: Pairs, values: Tensor, weight: Tensor | None = None, names: Sequence[str] | None = None
     ) -> "Measured":
-        """From tensors: values `(M, N, 3)`; samples that are not finite or below the horizon get weight 0."""
+        """Measured BRDFs from tensors.
+
+        Args:
+            pairs: Where the values were measured, `(N,)`, `(1, N)` or `(M, N)`.
+            values: In 1/sr without the cosine, `(M, N, 3)`; samples that are not finite or below the horizon get
+                weight 0.
+            weight: How much each sample counts, which broadcasts to `(M, N, 1)`; by default 1.
+            names: Of the M materials.
+
+        Raises:
+            ShapeError: The shapes do not fit together.
+
+        Example:
+            >>> angle = torch.tensor([[0.1, 0.2]])
+            >>> measured = Measured.from_samples(Pairs.from_half_diff(angle, angle, angle), torch.ones(1, 2, 3))
+            >>> measured.weight[0, :, 0]
+            tensor([1., 1.])
+        """
         return cls(Samples(pairs, values, weight, names), dtype=values.dtype, device=values.device)
 
     @property
     def names(self) -> list[str]:
-        """The materials' names."""
+        """Names of the materials."""
         return [self.source.names[k] for k in self.materials]
 
     @property
@@ -154,20 +220,31 @@ class Measured:
         return Measured(self.source, **{**state, **changes})
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Measured":
-        """The same materials on another device or in another dtype."""
+        """The same materials on another device or in another dtype; None leaves either as it is."""
         return self._view(device=device or self.device, dtype=dtype or self.dtype)
 
     def batch(self, materials: Sequence[int] | None = None, samples: Tensor | None = None) -> "Measured":
-        """Some materials and some samples, by index into these."""
+        """Some of these materials, and some of these samples.
+
+        Args:
+            materials: Indices into these materials; by default all.
+            samples: Indices `(n,)` into these samples; by default all.
+        """
         chosen = self.materials if materials is None else [self.materials[k] for k in materials]
         if samples is not None and self.samples is not None:
             samples = self.samples[samples.to(self.samples.device)]
         return self._view(materials=chosen, samples=self.samples if samples is None else samples)
 
     def within(self, max_theta: float) -> "Measured":
-        """Only pairs with both directions at most `max_theta` degrees from the normal.
+        """The same materials without directions near the horizon.
 
         Shared pairs beyond are left out; where every material has its own, they get weight 0.
+
+        Args:
+            max_theta: How far both directions may be from the normal, in degrees, above 0 and at most 90.
+
+        Raises:
+            ShapeError: The angle is out of range.
         """
         if not 0 < max_theta <= 90:
             raise ShapeError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
@@ -186,7 +263,7 @@ class Measured:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """The directions, `(1, N)` shared by all materials or `(M, N)`."""
+        """Directions of the samples, `(1, N)` shared by all materials or `(M, N)`."""
         return self.source.pairs.select(self.materials, self.samples).to(self.device, self.dtype)
 
     @cached_property
@@ -210,15 +287,34 @@ class Measured:
 
     @property
     def weight(self) -> Tensor:
-        """1 where a sample is valid, else 0, `(M, N, 1)`."""
+        """Weight of each sample: 1 where it is valid, else 0, `(M, N, 1)`."""
         return self._data[1]
 
     def at(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Tensor:
-        """Values at any pairs, `(M, N, 3)`, interpolated, zero below the horizon."""
+        """Interpolated values at any pairs.
+
+        Args:
+            pairs: `(N,)`, `(1, N)`, or `(M, N)` with pairs of each material's own.
+            interpolation: "linear" or "nearest".
+
+        Returns:
+            Values in 1/sr, `(M, N, 3)`, zero below the horizon; dtype and device are the pairs'.
+
+        Raises:
+            ShapeError: The pairs fit neither one nor all materials.
+            UsageError: There is no such interpolation.
+            DataError: The source knows nothing between its own pairs.
+
+        Example:
+            >>> from torchbrdf.measured import load, standins
+            >>> angle = torch.tensor([0.0, 0.5])
+            >>> load(standins()).at(Pairs.from_half_diff(angle, angle, angle)).shape
+            torch.Size([10, 2, 3])
+        """
         return self.lookup(pairs, interpolation).values
 
     def lookup(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Lookup:
-        """As `at`, with the count of pairs that had no valid neighbour and took the nearest valid value."""
+        """Interpolated values as `at` gives them, with the count of pairs that had no valid neighbour."""
         if interpolation not in get_args(Interpolation):
             raise unknown("interpolation", interpolation, get_args(Interpolation))
         if len(pairs.shape) == 1:
@@ -228,9 +324,12 @@ class Measured:
         return self.source.at(pairs, self.materials, interpolation)
 
     def diffuse_45_0(self) -> Tensor:
-        """The diffuse albedo pi f(45:0), wi at 45 degrees and wo at the normal, clamped to [0, 1], `(M, 3)`.
+        """Diffuse albedo by the 45:0 reading, pi f(45:0), clamped to [0, 1].
 
-        Read at theta_h = theta_d = 22.5 degrees, phi_d = 0.
+        wi is at 45 degrees and wo at the normal: theta_h = theta_d = 22.5 degrees, phi_d = 0.
+
+        Returns:
+            `(M, 3)`, without a unit.
         """
         angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64)
         value = self.at(Pairs.from_half_diff(angle, angle, torch.zeros_like(angle)))[:, 0]

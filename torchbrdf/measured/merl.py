@@ -37,7 +37,7 @@ TABLES = 12
 
 @FORMATS.register("merl")
 class Merl(BrdfFormat):
-    """MERL `.binary` files: memory-mapped, 35 MB each; only what is asked for is read.
+    """The format of MERL's `.binary` tables: memory-mapped, 35 MB each; only what is asked for is read.
 
     Bin i covers [i, i+1), and its value is that of its centre: theta_h = ((i+0.5)/90)^2 pi/2, theta_d and phi_d at
     i+0.5 degrees. `pairs` are the centres of all bins with both directions above the horizon, shared by all
@@ -55,12 +55,12 @@ class Merl(BrdfFormat):
 
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]
-        """The bin centres, `(1, N)`."""
+        """Directions of the bins' centres, `(1, N)`."""
         return bin_centers()
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """By the three dimensions in front, also where they are not quite right, or by the size."""
+        """Whether it is a MERL table, by the three dimensions in front, even if not quite right, or by the size."""
         size = path.stat().st_size
         if len(head) < HEADER.size:
             return False
@@ -70,7 +70,7 @@ class Merl(BrdfFormat):
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "Merl":
-        """Open tables; DataError for wrong dimensions, a wrong size, or no valid entry."""
+        """Open MERL tables; DataError for wrong dimensions, a wrong size, or no valid entry."""
         source = cls(paths)
         for material in range(len(paths)):
             source._check(material)
@@ -130,7 +130,7 @@ class Merl(BrdfFormat):
         return rows[..., :3], rows[..., 3:]
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
+        """Values at any pairs, trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
 
         phi_d is mirrored at its ends (reciprocity and isotropy: bin -1 is bin 0, bin 180 is bin 179); theta_h and
         theta_d keep the value of the last bin beyond its centre. Without a valid neighbour it is the value of the
@@ -183,10 +183,19 @@ class Merl(BrdfFormat):
 
 
 def write_merl(path: str | Path, values: np.ndarray | Tensor) -> None:
-    """Write a MERL table from values in 1/sr, `(90, 90, 180, 3)`, without the cosine; NaN or negative is invalid.
+    """Write a MERL table from BRDF values.
 
     Reading gives the same doubles bit for bit where the format can say them, which is so for all values that were
     read from a MERL table; as a product with the scale is rounded, other values may come back one rounding off.
+
+    Args:
+        path: The file, which appears when it is complete.
+        values: In 1/sr without the cosine, at the centres of the bins of theta_h, theta_d and phi_d,
+            `(90, 90, 180, 3)`; nan or negative is invalid.
+
+    Raises:
+        ShapeError: The values have another shape.
+        DataError: The file cannot be written.
     """
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (*BINS, 3):
@@ -204,7 +213,16 @@ def write_merl(path: str | Path, values: np.ndarray | Tensor) -> None:
 
 
 def write_raw(path: str | Path, raw: np.ndarray) -> None:
-    """Write a MERL table from entries as `Merl.raw` gives them, `(3, 90, 90, 180)`: bit for bit the same file."""
+    """Write a MERL table from entries as `Merl.raw` gives them: bit for bit the same file.
+
+    Args:
+        path: The file, which appears when it is complete.
+        raw: Entries that are not scaled, `(3, 90, 90, 180)`.
+
+    Raises:
+        ShapeError: The entries have another shape.
+        DataError: The file cannot be written.
+    """
     if raw.shape != (3, *BINS):
         raise ShapeError(f"{path}: expected entries (3, 90, 90, 180), found {raw.shape}")
     with replacing(path) as part, part.open("wb") as file:
@@ -214,7 +232,10 @@ def write_raw(path: str | Path, raw: np.ndarray) -> None:
 
 @lru_cache(1)
 def bin_centers() -> Pairs:
-    """The centres of the bins with both directions above the horizon, `(1, N)`, in the order of the table."""
+    """Directions of the centres of MERL's bins, `(1, N)`, in the order of the table.
+
+    Only bins with both directions above the horizon.
+    """
     place = np.nonzero(_above().reshape(BINS))
     return Pairs.from_half_diff(
         *(torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(), place, strict=True))
@@ -228,7 +249,7 @@ def _bin_rows() -> Tensor:
 
 @lru_cache(1)
 def _above() -> np.ndarray:
-    """Whether both directions of each bin's centre are above the horizon, `(K,)`."""
+    """Whether both directions of each bin's centre are above the horizon, `(K,)` of K bins."""
     h, d, phi = np.ix_(*_centres())
     return (np.cos(h) * np.cos(d) > np.sin(h) * np.sin(d) * np.abs(np.cos(phi))).reshape(-1)
 

@@ -29,7 +29,7 @@ TABLES = 32
 
 
 class RglFile:
-    """One file, checked. A stored value is `spectrum = f cos_o 4 sigma(theta_i) / D(h)`, which hardly varies.
+    """RGL file, checked. A stored value is `spectrum = f cos_o 4 sigma(theta_i) / D(h)`, which hardly varies.
 
     theta_i is the elevation of wi, on a few angles; of wo the file knows the half vector, in coordinates
     u = (sqrt(2 theta_h / pi), (phi_h - phi_i + pi) / 2pi), spread evenly by the warp of `vndf`, the density of visible
@@ -97,7 +97,9 @@ class RglFile:
 
 @FORMATS.register("rgl")
 class Rgl(BrdfFormat):
-    """RGL `.bsdf` files, isotropic, RGB. A name is the file's without `_rgb`, which tells it from the spectral file.
+    """The format of RGL's `.bsdf` files, isotropic, RGB.
+
+    A name is the file's without `_rgb`, which tells it from the spectral file.
 
     `pairs` are the directions of every measured value, wi at the file's theta_i, `(M, N)`; shorter files are padded
     with weight 0, as are directions below the horizon (what the file says there is extrapolated, and that it is so
@@ -120,7 +122,7 @@ class Rgl(BrdfFormat):
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """By the first 12 bytes."""
+        """Whether it is an RGL file, by its first 12 bytes."""
         return head.startswith(MAGIC)
 
     @classmethod
@@ -151,7 +153,7 @@ class Rgl(BrdfFormat):
         return values[materials][:, samples], weight[materials][:, samples]
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Through the file's warp, from the stored values around (theta_i, u): trilinear, or the nearest.
+        """Values at any pairs, trilinear or nearest, through the file's warp from those around (theta_i, u).
 
         wi takes the place of the file's incident direction; a measurement is not exactly reciprocal.
         """

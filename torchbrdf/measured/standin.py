@@ -19,8 +19,9 @@ from torchbrdf.pairs import Pairs
 
 @FORMATS.register("fits")
 class StandIn(BrdfFormat):
-    """Materials that are models: each record of a `fits.json` gives one, and its values are the model's, anywhere.
+    """The format of `fits.json`: models in the place of measurements.
 
+    Each record gives a material, whose values are the model's, anywhere.
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
     says that they are stand-ins. A material with several fits in a file is named with the model, lobes and loss.
     """
@@ -40,12 +41,12 @@ class StandIn(BrdfFormat):
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """By the bracket of a list of objects."""
+        """Whether it is a `fits.json`, by the bracket of a list of objects."""
         return b"".join(head.split()).startswith(b"[{")
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "StandIn":
-        """Read records; a DataError says what is wrong with which."""
+        """Read records of fits; a DataError says what is wrong with which."""
         records: list[dict[str, Any]] = []
         origin: list[Path] = []
         for path in paths:
@@ -60,12 +61,12 @@ class StandIn(BrdfFormat):
         return cls(records, origin)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """The models' values on these bins, float64."""
+        """Values of models on some bins, float64, and weights 1."""
         values = self.at(self.pairs.select(samples=samples), materials, "linear").values
         return values, torch.ones_like(values[..., :1])
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """The models' values; there is nothing to interpolate."""
+        """Values of models at any pairs; there is nothing to interpolate."""
         values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
         with torch.no_grad():
             for rows, model in self._models(tuple(materials), pairs.dtype, pairs.device):
@@ -89,7 +90,14 @@ class StandIn(BrdfFormat):
 
 
 def standins() -> Path:
-    """The bundled stand-ins of the paper's ten materials, for `load`; assets/README.md says how they were made."""
+    """Path of the bundled stand-ins of the paper's ten materials, for `load`.
+
+    assets/README.md says how they were made.
+
+    Example:
+        >>> standins().name
+        'standins.json'
+    """
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
 
 

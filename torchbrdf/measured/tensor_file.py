@@ -25,7 +25,7 @@ TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8",
 
 
 class Field(NamedTuple):
-    """Where an array lies in the file."""
+    """Field of a tensor file: where an array lies, and of what type it is."""
 
     dtype: np.dtype
     offset: int
@@ -33,7 +33,7 @@ class Field(NamedTuple):
 
 
 class TensorFile:
-    """The fields of one file: `fields` says what there is, `array` copies one. Nothing else is read."""
+    """Tensor file of RGL: `fields` says what there is, `array` copies one. Nothing else is read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

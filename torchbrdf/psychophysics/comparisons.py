@@ -14,11 +14,23 @@ from torchbrdf.study.answers import Answer
 
 @dataclass(frozen=True)
 class Comparisons:
-    """Counts of paired comparisons.
+    """Paired comparisons as counts: which observer preferred what to what how often.
 
-    wins[o, m, i, j], `(O, M, n, n)`, float64: how often observer o preferred stimulus i of material m to stimulus j.
-    n is the largest number of stimuli of a material; those with fewer are padded with zeros. stimuli: the names of
-    each material, in the order of first appearance, as are materials and observers.
+    Args:
+        materials: Names of the M materials.
+        stimuli: The names of each material's stimuli; n is the largest number of them.
+        observers: Names of the O observers.
+        wins: `(O, M, n, n)`, float64; wins[o, m, i, j] says how often observer o preferred stimulus i of material m to
+            stimulus j. Materials with fewer stimuli are padded with zeros.
+
+    Raises:
+        ShapeError: The shapes do not fit together, or wins are not float64.
+
+    Example:
+        >>> from torchbrdf.study import Answer
+        >>> comparisons = Comparisons.from_answers([Answer("ann", "gloss", "nickel", "ward", "cook", chosen="cook")])
+        >>> comparisons.stimuli, comparisons.total.tolist()
+        ([['ward', 'cook']], [[[0.0, 0.0], [1.0, 0.0]]])
     """
 
     materials: list[str]
@@ -36,9 +48,15 @@ class Comparisons:
 
     @classmethod
     def from_answers(cls, answers: Iterable[Answer], experiment: str | None = None) -> "Comparisons":
-        """The trials among answers of one experiment; repeats and catch trials do not count.
+        """Counts of the trials among answers of one experiment; repeats and catch trials do not count.
 
-        A UsageError if there are several experiments and none is named, or no such one; a DataError without trials.
+        Args:
+            answers: Of observers; names are numbered in the order of their first appearance.
+            experiment: Its name; may be left out if there is one only.
+
+        Raises:
+            UsageError: There are several experiments and none is named, or no such one.
+            DataError: There is no trial.
         """
         trials = [answer for answer in one_experiment(answers, experiment) if answer.kind == "trial"]
         if not trials:
@@ -59,7 +77,7 @@ class Comparisons:
 
     @property
     def total(self) -> Tensor:
-        """The wins of all observers, `(M, n, n)`."""
+        """Wins of all observers together, `(M, n, n)`."""
         return self.wins.sum(0)
 
     @property
@@ -74,13 +92,17 @@ class Comparisons:
         return (self.compared > 0).any(-1)
 
     def select(self, observers: Sequence[int]) -> "Comparisons":
-        """The answers of some observers, by their numbers; materials and stimuli stay where they are."""
+        """Comparisons of some observers, by their numbers; materials and stimuli stay where they are."""
         return replace(
             self, observers=[self.observers[k] for k in observers], wins=self.wins[torch.tensor(observers).long()]
         )
 
     def check_connected(self) -> None:
-        """A DataError if comparisons do not link all stimuli of a material: parts have no known distance."""
+        """Refuse comparisons that do not link all stimuli of a material: parts have no known distance.
+
+        Raises:
+            DataError: Names the material, and a stimulus of each part.
+        """
         compared, present = self.compared, self.present
         whole = connected(compared)
         if bool(whole.all()):

@@ -29,8 +29,9 @@ class KendallAgreement:
 
 
 def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
-    """How far observers agree about each material; those without an answer to a material are left out there.
+    """Kendall's coefficient of agreement of observers about each material.
 
+    Observers without an answer to a material are left out there.
     u = 2 S / (C(m, 2) C(n, 2)) - 1 with m observers, n stimuli and S the sum of C(w_ij, 2) over ordered pairs.
     chi^2 = 4 / (m - 2) (S - 1 - C(n, 2) C(m, 2) (m - 3) / (2 (m - 2))), with 1 subtracted for continuity, has about
     a chi-square distribution with C(n, 2) m (m - 1) / (m - 2)^2 degrees of freedom.
@@ -55,7 +56,7 @@ def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
 
 
 def complete(wins: Tensor) -> Tensor:
-    """Whether, of two or more stimuli, each pair was judged once: wins `(..., n, n)` to bool `(...)`."""
+    """Complete designs, bool `(...)`: whether each pair of two or more stimuli was judged once; wins `(..., n, n)`."""
     asked = wins + wins.mT
     present = (asked > 0).any(-1)
     due = (present.unsqueeze(-1) & present.unsqueeze(-2)).to(wins) - torch.diag_embed(present.to(wins))
@@ -63,7 +64,7 @@ def complete(wins: Tensor) -> Tensor:
 
 
 def circular_triads(wins: Tensor) -> Tensor:
-    """How many triples go round in a circle, A over B over C over A: wins `(..., n, n)` of one observer to `(...)`.
+    """Circular triads, A over B over C over A, of one observer: wins `(..., n, n)` to counts `(...)`.
 
     d = n (n - 1) (2n - 1) / 12 - sum_i a_i^2 / 2, a_i the wins of stimulus i; nan where not each pair was judged once.
     """

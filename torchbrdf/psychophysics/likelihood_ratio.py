@@ -12,7 +12,7 @@ from torchbrdf.psychophysics.thurstone import PRIOR
 
 @dataclass(frozen=True)
 class Goodness:
-    """A test of the model for each material: the statistic G^2, its degrees of freedom, and p, `(M,)`.
+    """Test of goodness of fit for each material: the statistic G^2, its degrees of freedom, and p, `(M,)`.
 
     A small p says that no scale explains the answers: they are circular, or the unit is not the same everywhere. p is
     nan without degrees of freedom, as with two stimuli, and without draws.
@@ -26,7 +26,7 @@ class Goodness:
 def goodness(
     wins: Tensor, scale: Tensor, draws: int = 1000, seed: int = 0, method: Method = "likelihood", prior: float = PRIOR
 ) -> Goodness:
-    """The likelihood-ratio test of a fitted scale `(M, n)` against a share for each pair; wins `(M, n, n)`.
+    """Likelihood-ratio test of goodness of fit: a scale `(M, n)` against a share for each pair; wins `(M, n, n)`.
 
     G^2 = 2 sum_ij w_ij log(p_ij / Phi(s_i - s_j)), p_ij the share of wins; degrees of freedom: the pairs compared,
     less n - 1. p is the share of G^2 that are as large among answers simulated with the scale and fitted again, because
@@ -55,7 +55,7 @@ def goodness(
 
 
 def likelihood_ratio(wins: Tensor, scale: Tensor) -> Tensor:
-    """G^2 `(...)` of wins `(..., n, n)` and a scale `(..., n)`; see `goodness`."""
+    """Likelihood-ratio statistic G^2 `(...)` of wins `(..., n, n)` and a scale `(..., n)`; see `goodness`."""
     difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
     share = wins / (wins + wins.mT).clamp(min=1)
     return 2 * (torch.special.xlogy(wins, share) - wins * torch.special.log_ndtr(difference)).sum((-2, -1))

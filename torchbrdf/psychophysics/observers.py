@@ -25,7 +25,7 @@ FEWEST_TRIPLES = 200
 
 @dataclass(frozen=True)
 class ObserverReport:
-    """What an observer's answers look like.
+    """Report on an observer: what their answers look like, and what is odd about them.
 
     trials: how many. likelihood_z: `agreement_with_others`. triads, consistence: by material, circular triads and
     Kendall's zeta, nan where not each pair was judged once. repeats, repeats_same: trials shown again, and answered
@@ -52,7 +52,7 @@ class ObserverReport:
 def observer_reports(
     answers: Iterable[Answer], experiment: str | None = None, prior: float = PRIOR
 ) -> list[ObserverReport]:
-    """A report on each observer with answers to trials of one experiment. Errors as `Comparisons.from_answers`.
+    """Reports on all observers with answers to trials of one experiment. Errors as `Comparisons.from_answers`.
 
     Flags: a likelihood_z below -3; a left_p below 0.001; more catch trials missed than somebody makes likely who
     misses one in ten (binomial p < 0.05); circular triads no fewer than by chance (p > 0.05), if there are 200 triples
@@ -106,7 +106,7 @@ def observer_reports(
 
 
 def agreement_with_others(comparisons: Comparisons, prior: float = PRIOR) -> Tensor:
-    """How likely each observer's answers are under scales fitted to all the others', standardised: z, `(O,)`.
+    """Likelihood of each observer's answers under scales fitted to all the others', standardised: z, `(O,)`.
 
     l = sum of log P(choice) over the observer's trials, y = (l - E[l]) / sqrt(Var[l]), both under the same scales:
     with p the probability of a choice and q = 1 - p, E = sum of p log p + q log q, Var = sum of p q (log p - log q)^2.

@@ -14,7 +14,7 @@ LARGEST_DIFFERENCE = 2.5
 
 
 def power_of(difference: float, observers: int, alpha: float = 0.05, stimuli: int = 2) -> float:
-    """The chance to tell apart two stimuli that differ by so many units, each pair judged once by each observer.
+    """Power of a study: the chance to tell two stimuli apart, each pair judged once by each observer.
 
     stimuli 2: the two-sided binomial test against 1/2, exact. More: in a complete design with the two at the ends and
     the others evenly spread between them, the test of whether the difference of their scale values is 0,
@@ -29,10 +29,26 @@ def power_of(difference: float, observers: int, alpha: float = 0.05, stimuli: in
 
 
 def observers_needed(difference: float, power: float = 0.8, alpha: float = 0.05, stimuli: int = 2) -> int:
-    """The number of observers from which on the power, as `power_of` has it, is at least `power`.
+    """How many observers a study needs to tell two stimuli apart.
 
     The power of the exact binomial test goes up and down with the number of observers: with any larger number it is
-    at least `power` too. A UsageError where that takes some hundred thousand or more.
+    at least `power` too.
+
+    Args:
+        difference: Of the two, in units of the scale, other than 0.
+        power: The chance to tell them apart, between 0 and 1, as `power_of` has it.
+        alpha: The level of the test, between 0 and 1.
+        stimuli: Of a material, 2 or more.
+
+    Returns:
+        The number of observers from which on the power is at least `power`.
+
+    Raises:
+        UsageError: A number is out of range, or some hundred thousand observers or more are needed.
+
+    Example:
+        >>> observers_needed(0.5)
+        61
     """
     _check(difference, alpha, stimuli)
     if not 0 < power < 1:

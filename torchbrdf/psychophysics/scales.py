@@ -14,7 +14,7 @@ from torchbrdf.psychophysics.thurstone import PRIOR
 
 @dataclass(frozen=True)
 class Scales:
-    """A scale for each material, in units of the standard deviation of a difference; higher is preferred.
+    """Scales of all materials of a study, in units of the standard deviation of a difference; higher is preferred.
 
     value, low, high: `(M, n)`, the scale, its mean 0, and its 95 % interval; nan beyond a material's stimuli.
     covariance, between: `(M, n, n)`, by the model and by how observers differ; the larger variance makes the interval.
@@ -37,7 +37,7 @@ class Scales:
     method: Method
 
     def difference(self, material: int, i: int, j: int) -> tuple[float, float, float]:
-        """How much higher stimulus i is than stimulus j, and the 95 % interval of that: value, low, high."""
+        """Difference of stimuli i and j on a material's scale, with its 95 % interval: value, low, high."""
         value = float(self.value[material, i] - self.value[material, j])
         both = torch.stack([self.covariance[material], self.between[material]])
         variance = (both[:, i, i] + both[:, j, j] - 2 * both[:, i, j]).clamp(min=0).max()
@@ -77,8 +77,9 @@ def scale(
     seed: int = 0,
     prior: float = PRIOR,
 ) -> Scales:
-    """Scales with 95 % intervals: value +- 1.96 sqrt(max(variance by the model, variance by how observers differ)).
+    """Thurstone scales of paired comparisons, with 95 % intervals.
 
+    The intervals are value +- 1.96 sqrt(max(variance by the model, variance by how observers differ)).
     How often such intervals hold the true value, simulated, by method "likelihood", on average over the stimuli:
     - 94 to 97 % with 2 to 20 stimuli, 15 to 30 observers, and neighbours 0 to 1 apart (no stimulus under 93 % or over
       98 %); a difference of neighbours 1 apart, 95 to 98 %; with 8 or 10 observers, 96 to 97.3 %;
@@ -88,8 +89,25 @@ def scale(
     Percentiles of a bootstrap over 10 to 20 observers held it 93 % of the time at best, and 81 % at worst.
     By method "least_squares" they hold for scales that span 2 units at most; beyond, its bias makes them worthless.
 
-    draws: of the bootstrap over observers, and of the test of goodness. A DataError if comparisons do not link all
-    stimuli of a material.
+    Args:
+        comparisons: Of M materials with at most n stimuli.
+        method: "likelihood", see `map_estimate`, or "least_squares".
+        draws: Of the bootstrap over observers, and of the test of goodness.
+        seed: Of both.
+        prior: Of the likelihood, in units of the scale, see `map_estimate`.
+
+    Returns:
+        Scales in units of the standard deviation of a difference.
+
+    Raises:
+        DataError: Comparisons do not link all stimuli of a material.
+        UsageError: There is no such method, or the prior is out of range.
+
+    Example:
+        >>> wins = torch.tensor([[[[0.0, 15.0], [5.0, 0.0]]]], dtype=torch.float64)
+        >>> found = scale(Comparisons(["nickel"], [["ward", "cook"]], ["all"], wins), draws=0)
+        >>> found.value[0].round(decimals=3).tolist()
+        [0.312, -0.312]
     """
     comparisons.check_connected()
     value = fitted(comparisons.total, method, prior)

@@ -25,7 +25,7 @@ _LOG_ROOT = 0.5 * math.log(2 * math.pi)
 
 
 def least_squares(wins: Tensor) -> Tensor:
-    """The classical scale `(..., n)`: least squares of s_i - s_j - z_ij over the pairs compared; wins `(..., n, n)`.
+    """Classical Thurstone scale `(..., n)` of wins `(..., n, n)`, by least squares of s_i - s_j - z_ij.
 
     z_ij = Phi^-1(p_ij) with p_ij the share of wins; 0 and 1 become 1/(2N) and 1 - 1/(2N), N comparisons of the pair.
     Where all pairs are compared, s_i is the mean of row i of z. Where the comparisons do not link all stimuli, nan.
@@ -46,8 +46,9 @@ def least_squares(wins: Tensor) -> Tensor:
 
 
 def map_estimate(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
-    """The scale `(..., n)` of the greatest posterior density, and its covariance `(..., n, n)`; wins `(..., n, n)`.
+    """Thurstone scale `(..., n)` of the greatest posterior density, and its covariance `(..., n, n)`.
 
+    wins: `(..., n, n)`.
     The maximum of sum_ij w_ij log Phi(s_i - s_j) - sum_i s_i^2 / (2 sigma^2), which is concave. Some pairs may be
     compared more often than others, or not at all. sigma^2 = prior^2 (n^2 - 1) / 12 is the variance of n values that
     are evenly spaced, `prior` units apart. The covariance is the inverse of the expected information, with the
@@ -67,7 +68,7 @@ def map_estimate(wins: Tensor, prior: float = PRIOR) -> tuple[Tensor, Tensor]:
 
 
 def maximum(wins: Tensor, prior: float = PRIOR) -> Tensor:
-    """The scale of `map_estimate` alone, by Newton's method from 0.
+    """Maximum of the posterior density: the scale of `map_estimate` alone, by Newton's method from 0.
 
     Of some 360 000 problems made to be hard (unbalanced counts of up to a million, next to no prior), none needed
     shorter steps. One that did not end would be nan.
@@ -97,7 +98,7 @@ def maximum(wins: Tensor, prior: float = PRIOR) -> Tensor:
 
 
 def covariance(compared: Tensor, scale: Tensor, prior: float = PRIOR) -> Tensor:
-    """The covariance `(..., n, n)` of a most likely scale `(..., n)`, of symmetric counts `(..., n, n)`.
+    """Covariance `(..., n, n)` of a most likely scale `(..., n)`, by symmetric counts `(..., n, n)`.
 
     The inverse of the Laplacian of N_ij phi(d)^2 / (Phi(d) Phi(-d)), d = s_i - s_j, plus the prior's precision, where
     the mean is 0; nan for stimuli that were not compared.
@@ -116,7 +117,10 @@ def information(difference: Tensor) -> Tensor:
 
 
 def score_function(wins: Tensor, scale: Tensor) -> Tensor:
-    """The gradient `(..., n)` of the log-likelihood of wins `(..., n, n)` at a scale `(..., n)`, without the prior."""
+    """Score function: the gradient `(..., n)` of the log-likelihood at a scale `(..., n)`, without the prior.
+
+    wins: `(..., n, n)`.
+    """
     difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)).nan_to_num()
     slope = wins * _hazard(difference)
     return slope.sum(-1) - slope.sum(-2)
@@ -141,7 +145,9 @@ def laplacian(weights: Tensor) -> Tensor:
 
 
 def null_space_projector(compared: Tensor) -> Tensor:
-    """What makes Laplacians `(..., n, n)` invertible and leaves their solutions with a mean of 0.
+    """Projector onto the null space of Laplacians `(..., n, n)`; added, it makes them invertible.
+
+    Solutions keep a mean of 0.
 
     1/n between stimuli that were compared with any other; 1 on the diagonal of the rest.
     """
@@ -166,7 +172,7 @@ def prior_precision(compared: Tensor, prior: float) -> Tensor:
 
 
 def checked(wins: Tensor) -> Tensor:
-    """How often each pair was compared, `(..., n, n)`; a ShapeError if these are no counts of wins."""
+    """Check counts of wins, and count how often each pair was compared, `(..., n, n)`; else a ShapeError."""
     if wins.dim() < 2 or wins.shape[-1] != wins.shape[-2] or wins.dtype != torch.float64:
         raise ShapeError(f"wins: expected (..., n, n), float64, found {(*wins.shape,)}, {wins.dtype}")
     if not bool((wins >= 0).all()) or bool((wins.diagonal(dim1=-2, dim2=-1) != 0).any()):

@@ -23,11 +23,27 @@ Progress = Callable[[int, int], None]
 
 
 def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
-    """Linear pictures `(M, size, size, 3)`, float32, 0 where there is no object; without gradients.
+    """Draw BRDFs in a scene: linear pictures, without gradients.
 
-    brdf: a Lobe (batched or not), a Measured, anything that gives values `(m, N, 3)` or `(N, 3)` on Pairs, or several
-    of those, whose pictures follow each other; geometry and light are then worked out once for all. `progress(done,
-    total)` is called as the work goes on.
+    For pictures with gradients, multiply values by `scene.transport`.
+
+    Args:
+        brdf: A Lobe (batched or not), a Measured, or anything that gives values in 1/sr, `(m, N, 3)` or `(N, 3)`, on
+            Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once.
+        scene: What is drawn.
+        progress: Is called with what is done and what there is to do as the work goes on.
+
+    Returns:
+        Radiance `(M, size, size, 3)`, float32, in the unit of the scene's light, 0 where there is no object.
+
+    Raises:
+        UsageError: There is no BRDF.
+
+    Example:
+        >>> from torchbrdf.lobes import Lambert
+        >>> from torchbrdf.render import Scene, sphere
+        >>> render(Lambert(albedo=0.5), Scene(sphere(2), size=8, nodes=8, light_samples=4)).shape
+        torch.Size([1, 8, 8, 3])
     """
     brdfs = list(brdf) if isinstance(brdf, Sequence) else [brdf]
     if not brdfs:

@@ -55,9 +55,9 @@ class Scene:
         DataError: The mesh covers no pixel.
 
     Example:
-        >>> from torchbrdf.lobes import Lambert
+        >>> from torchbrdf.render import sphere
         >>> scene = Scene(sphere(2), size=8, nodes=8, light_samples=4)
-        >>> picture = scene.transport @ Lambert()(scene.pairs)[None]
+        >>> picture = scene.transport @ torch.ones(1, len(scene.pairs), 3)  # a BRDF that is 1 / sr everywhere
         >>> picture.shape
         torch.Size([1, 8, 8, 3])
     """
@@ -100,16 +100,16 @@ class Scene:
 
     @property
     def coverage(self) -> Tensor:
-        """The share of each pixel that the object covers, `(size, size)`."""
+        """Coverage: the share of each pixel that the object covers, `(size, size)`."""
         return self._pixels.coverage
 
     @property
     def mask(self) -> Tensor:
-        """Where there is something to see, `(size, size)`."""
+        """Mask of the pixels that show the object, `(size, size)`."""
         return self.coverage > 0
 
     def jobs(self) -> list[Callable[[], Chunk]]:
-        """What makes each part of the quadrature: pixels `(p,)`, Pairs `(1, p L)`, weights `(p, L, 3)`.
+        """Functions that make the parts of the quadrature: pixels `(p,)`, Pairs `(1, p L)`, weights `(p, L, 3)`.
 
         Pixels count row by row. Each comes up once in every part of the quadrature.
         """
@@ -175,7 +175,7 @@ class Scene:
 
     @property
     def transport(self) -> Transport:
-        """What makes the picture of the values on `pairs`."""
+        """Light transport matrix, which makes the picture of values on `pairs`."""
         return self._whole[1]
 
 

@@ -37,11 +37,27 @@ LARGEST_FILE = 256 * 2**20
 
 @dataclass(frozen=True)
 class Answer:
-    """What an observer chose: `chosen` is `left` or `right`, names of stimuli.
+    """Answer of an observer to a paired comparison.
 
-    kind: a trial counts for the scales; a repeat shows a trial again, and says how steady an observer is; a catch
-    trial has an answer that is known. response_time in seconds since both pictures were visible, nan if not known;
-    time_stamp in ISO 8601, UTC; seed: of the observer's order of trials.
+    Args:
+        observer: A name.
+        experiment: The name of the experiment.
+        material: The name of the material.
+        left: The stimulus on the left.
+        right: The stimulus on the right.
+        chosen: `left` or `right`, the names.
+        response_time: Seconds since both pictures were visible, nan if not known.
+        time_stamp: ISO 8601, UTC.
+        seed: Of the observer's order of trials.
+        kind: A "trial" counts for the scales; a "repeat" shows a trial again, and says how steady an observer is; a
+            "catch" trial has an answer that is known.
+
+    Raises:
+        DataError: A name has more than one line, or `chosen` was not shown.
+
+    Example:
+        >>> Answer("ann", "gloss", "nickel", left="ward", right="cook", chosen="cook").rejected
+        'ward'
     """
 
     observer: str
@@ -73,12 +89,16 @@ class Answer:
 
 
 def simulated(answers: Iterable[Answer]) -> bool:
-    """Whether any of the observers is no person."""
+    """Whether any of the answers' observers is simulated, no person."""
     return any(answer.observer.startswith(SIMULATED) for answer in answers)
 
 
 def write_answers(path: Path | str, answers: Iterable[Answer]) -> None:
-    """Write answers to a CSV file, whole or not at all."""
+    """Write observers' answers to a CSV file, whole or not at all.
+
+    Raises:
+        DataError: The file cannot be written.
+    """
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
@@ -92,10 +112,16 @@ def write_answers(path: Path | str, answers: Iterable[Answer]) -> None:
 
 
 def read_answers(path: Path | str) -> list[Answer]:
-    """The answers of a CSV file: ours, pwcmp's, or one with columns observer, material, left, right, chosen.
+    """Read observers' answers from a CSV file: ours, pwcmp's, or one with observer, material, left, right, chosen.
 
     Only the observer, the two stimuli and which was chosen (1, 2, left, right, or its name) are needed. The separator
-    may be a comma, a semicolon or a tab. A DataError says file, line, column, what was expected and what was found.
+    may be a comma, a semicolon or a tab.
+
+    Args:
+        path: The file.
+
+    Raises:
+        DataError: Says file, line, column, what was expected and what was found.
     """
     path = Path(path)
     rows = _rows(path)

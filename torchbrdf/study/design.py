@@ -13,7 +13,7 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Trial:
-    """What is shown: the material's reference above, and two stimuli below."""
+    """Trial of a study: what is shown, the material's reference above, and two stimuli below."""
 
     material: str
     left: str
@@ -27,12 +27,25 @@ def observer_seed(plan: Plan, index: int) -> int:
 
 
 def trials(plan: Plan, experiment: Experiment, index: int) -> list[Trial]:
-    """The trials of observer number `index`, from 0: the same whenever it is asked for.
+    """Trials of an observer, in the order in which they are shown; the same whenever it is asked for.
 
     All pairs of all materials in one random order. Every stimulus stands on the left as often as on the right, give or
     take one, and what one observer sees on the left, the next one sees on the right. With `compare`, two such
     observers share one choice of pairs, the next two have another, and each can be scaled alone. A repeat comes at
     least a quarter of all trials after the trial that it repeats, where that is possible.
+
+    Args:
+        plan: The study.
+        experiment: One of its experiments.
+        index: The observer's number, from 0.
+
+    Example:
+        >>> from torchbrdf.study import Experiment, Material, Plan, Stimulus
+        >>> names = ("ward", "cook", "abc")
+        >>> nickel = Material("nickel", "nickel.png", {name: Stimulus(f"{name}.png") for name in names})
+        >>> gloss = Experiment("gloss", "Which is closer?", names)
+        >>> len(trials(Plan((nickel,), (gloss,)), gloss, 0))
+        3
     """
     couple = random.Random(f"{plan.seed}/{experiment.name}/{index // 2}")
     own = random.Random(observer_seed(plan, index))
@@ -53,7 +66,7 @@ def trials(plan: Plan, experiment: Experiment, index: int) -> list[Trial]:
 
 
 def mirrored(trial: Trial) -> Trial:
-    """The trial with its sides changed."""
+    """A trial with its sides changed."""
     return replace(trial, left=trial.right, right=trial.left)
 
 
@@ -68,7 +81,7 @@ def chosen_pairs(experiment: Experiment, source: random.Random) -> list[Pair]:
 
 
 def circulant_pairs(ring: Sequence[str], compare: int) -> list[Pair]:
-    """Pairs of neighbours on a ring, then of second neighbours, ..., until each meets `compare` others.
+    """Pairs of a circulant graph: neighbours on a ring, then second neighbours, ..., until each meets `compare` others.
 
     Connected, because neighbours are among them. If the ring and `compare` are odd, one meets one more.
     """

@@ -37,7 +37,15 @@ TEXTS = {
 
 @dataclass(frozen=True)
 class Stimulus:
-    """A picture that can be chosen. `difference`: its image difference from the reference, if known."""
+    """Stimulus of a study: a picture that can be chosen.
+
+    Args:
+        picture: The file.
+        model: The lobe that it shows.
+        loss: The loss that it was fitted under.
+        outlier: Whether the fit failed.
+        difference: Its image difference from the reference, if known.
+    """
 
     picture: str
     model: str | None = None
@@ -48,9 +56,13 @@ class Stimulus:
 
 @dataclass(frozen=True)
 class Material:
-    """A material: the picture that is the reference, its stimuli by name, and where it stands among the others.
+    """Material of a study: the picture that is the reference, and its stimuli.
 
-    order: materials are drawn by rising `order`, such as the distinctness of image in degrees.
+    Args:
+        name: Of the material.
+        reference: The file of the reference.
+        stimuli: By name.
+        order: Materials are drawn by rising `order`, such as the distinctness of image in degrees.
     """
 
     name: str
@@ -61,11 +73,20 @@ class Material:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Which stimuli of each material are compared.
+    """Experiment of a study: which stimuli of each material are compared.
 
-    pairs: those pairs of names; None: all. compare: every observer compares each stimulus with only so many others,
-    other ones for every observer (for many stimuli). repeats: so many trials come a second time, sides changed. catch:
-    so many trials show the measured material itself beside the picture that differs most.
+    Args:
+        name: Of the experiment.
+        title: Shown in reports.
+        stimuli: Names of stimuli, two or more.
+        pairs: Those pairs of names only; None: all.
+        compare: Every observer compares each stimulus with only so many others, other ones for every observer (for
+            many stimuli).
+        repeats: So many trials come a second time, sides changed.
+        catch: So many trials show the measured material itself beside the picture that differs most.
+
+    Raises:
+        UsageError: The settings do not fit together.
     """
 
     name: str
@@ -95,11 +116,21 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study: materials, experiments, the words shown (`TEXTS`), and who may take part.
+    """Plan of a study: materials, experiments, the words shown, and who may take part.
 
-    screening: self-reports and the answers that are let in, such as {"colour_vision": ("normal",)}; others are
-    thanked and not asked anything. mark: what has to be said wherever answers are shown, such as that the materials
-    are no measurements. Pictures are named relative to the folder that the plan is in.
+    Pictures are named relative to the folder that the plan is in.
+
+    Args:
+        materials: With their pictures.
+        experiments: With names of stimuli that all materials have.
+        seed: Of the order of trials.
+        texts: Words shown to observers in place of those in `TEXTS`.
+        screening: Self-reports and the answers that make eligible, such as {"colour_vision": ("normal",)}; others are
+            thanked and not asked anything.
+        mark: What has to be said wherever answers are shown, such as that the materials are no measurements.
+
+    Raises:
+        UsageError: Names are not unique or not known.
     """
 
     materials: tuple[Material, ...]
@@ -154,18 +185,22 @@ class Plan:
         raise unknown("material", name, [material.name for material in self.materials])
 
     def text(self, key: str) -> str:
-        """Words to show."""
+        """A text to show to observers, the plan's or the default."""
         return self.texts.get(key, TEXTS[key])
 
     def save(self, folder: Path | str) -> Path:
-        """Write `study.json` into a folder; gives its path."""
+        """Write the plan as `study.json` into a folder; gives its path."""
         path = Path(folder) / PLAN
         write_text(path, json.dumps(asdict(self), indent=1) + "\n")
         return path
 
     @classmethod
     def load(cls, folder: Path | str) -> "Plan":
-        """The plan in a folder. A DataError says what is not as expected, or which picture is missing."""
+        """Read the plan in a folder.
+
+        Raises:
+            DataError: Says what is not as expected, or which picture is missing.
+        """
         path = Path(folder) / PLAN
         try:
             plan = cls._from(json.loads(path.read_text(encoding="utf-8")))
@@ -203,7 +238,7 @@ class Plan:
 
 
 def inside(folder: Path, picture: str, where: Path) -> Path:
-    """The path of a picture in a folder; a DataError if it is not there, or leads out of it."""
+    """Path of a picture in a folder; a DataError if it is not there, or leads out of it."""
     path = (folder / picture).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise DataError(f"{where}: expected pictures in {folder}, found {picture}")
@@ -213,7 +248,7 @@ def inside(folder: Path, picture: str, where: Path) -> Path:
 
 
 def catch_pair(material: Material, experiment: Experiment) -> tuple[str, str] | None:
-    """The measured material, which is right, and the stimulus that differs most from it; None where not known."""
+    """Pair of a catch trial: the measured material, which is right, and the stimulus that differs most; None if unknown."""
     known = {
         name: material.stimuli[name].difference or 0.0
         for name in experiment.stimuli

@@ -71,7 +71,7 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def serve(folder: Path | str, experiment: str, host: str = "127.0.0.1", port: int = PORT) -> None:
-    """Ask observers, until Ctrl-C: the plan in a folder, answers into a database beside it. Port 0: one that is free.
+    """Serve a study until Ctrl-C: the plan in a folder, answers into a database beside it. Port 0: one that is free.
 
     A UsageError or DataError says in one line why that cannot be.
     """
@@ -106,7 +106,7 @@ def serve(folder: Path | str, experiment: str, host: str = "127.0.0.1", port: in
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket that listens; a UsageError if the port is taken, or the host is not this machine."""
+    """Open a socket that listens; a UsageError if the port is taken, or the host is not this machine."""
     if not 0 <= port <= 65535:
         raise UsageError(f"port: expected 0 to 65535, found {port}")
     try:
@@ -116,13 +116,13 @@ def listening(host: str, port: int) -> socket.socket:
 
 
 def address(host: str, port: int) -> str:
-    """What to open in a browser."""
+    """Address to open in a browser."""
     name = socket.gethostname() if host in ("", "0.0.0.0", "::") else host
     return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
 
 def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
-    """The server as a WSGI application; the store has the plan."""
+    """Make the server as a WSGI application; the store has the plan."""
     plan = store.plan
     plan.experiment(experiment)
     pictures = find_pictures(plan, Path(folder))
@@ -251,7 +251,7 @@ def find_pictures(plan: Plan, folder: Path) -> dict[tuple[str, str | None], tupl
 
 
 def plain_png(data: bytes, path: Path) -> bytes:
-    """A PNG without anything that is not needed to show it."""
+    """Strip a PNG of all that is not needed to show it."""
     kept, at = [data[:8]], 8
     while at + 12 <= len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")
@@ -264,7 +264,7 @@ def plain_png(data: bytes, path: Path) -> bytes:
 
 
 def state_json(state: State) -> dict[str, Any]:
-    """What a page hears of where its observer is."""
+    """State of an observer as a page hears it."""
     return {"stage": state.stage, "trial": state.position, "of": state.trials}
 
 
@@ -297,13 +297,14 @@ def same_origin() -> None:
 
 
 def security_headers(response: Response) -> Response:
+    """Add the headers that keep the link secret and the page out of frames."""
     response.headers.update(HEADERS)
     response.headers.setdefault("Cache-Control", "no-store")
     return response
 
 
 def problem(status: int, text: str, **more: Any) -> Response:
-    """What is wrong, for the page; in plain words where a person opens it."""
+    """Response that says what is wrong, for the page; in plain words where a person opens it."""
     person = request.method == "GET" and not request.path.endswith("/state")
     body = Response(f"{text}\n", content_type="text/plain; charset=utf-8") if person else jsonify(error=text, **more)
     return make_response(body, status)

@@ -12,9 +12,10 @@ NOISE = 2.0
 
 
 def simulate(plan: Plan, experiment: Experiment, observers: int, noise: float = NOISE, seed: int = 0) -> list[Answer]:
-    """The answers of Thurstone's observers (case V): each sees a stimulus's difference D from the reference as
-    D + noise * e, e normal, anew in every trial, and chooses the smaller one.
+    """Simulate observers' answers by Thurstone's case V.
 
+    Each sees a stimulus's difference D from the reference as D + noise * e, e normal, anew in every trial, and chooses
+    the smaller one.
     So P(i over j) = Phi((D_j - D_i) / (sqrt(2) noise)), and the scale's unit is sqrt(2) noise. D is the `difference` in
     the plan: it is of pictures from the same side, while people see the reference from another. All observers are
     alike. Their names begin with "simulated".

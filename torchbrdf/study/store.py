@@ -61,15 +61,15 @@ CREATE TABLE IF NOT EXISTS answers (
 
 
 class UnknownObserverError(UsageError):
-    """A link that nobody was given."""
+    """Error: a link that nobody was given."""
 
 
 class NotNowError(UsageError):
-    """Something that is not what an observer is to do now, such as an answer given before."""
+    """Error: something that is not what an observer is to do now, such as an answer given before."""
 
 
 class IneligibleError(UsageError):
-    """A trial for someone whose self-reports screen them out."""
+    """Error: a trial for someone whose self-reports screen them out."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Store:
             raise
 
     def begin(self, experiment: str) -> str:
-        """A new observer, who has consented: gives the token of their own link. Their trials are fixed from here on."""
+        """Begin with a new observer, who has consented: gives the token of their own link. Their trials are fixed now."""
         asked = self.plan.experiment(experiment)
         token = secrets.token_urlsafe(16)
         with self._writing() as db:
@@ -130,7 +130,7 @@ class Store:
         return token
 
     def state(self, token: str) -> State:
-        """Where an observer is."""
+        """State of an observer, by their link's token."""
         return _state(self._connection(), token)
 
     def trial(self, state: State, position: int) -> Trial:
@@ -195,7 +195,7 @@ class Store:
         ]
 
     def profiles(self) -> list[dict[str, Any]]:
-        """What is known of each observer; `reports`, `screen` and `let_in` are None before they said so."""
+        """Profiles of observers; `reports`, `screen` and `let_in` are None before they said so."""
         rows = self._connection().execute(
             "SELECT id, experiment, number, seed, consented, let_in, reports, screen, trials,"
             " (SELECT COUNT(*) FROM answers WHERE observer = observers.id) FROM observers ORDER BY id"
@@ -217,7 +217,7 @@ class Store:
         ]
 
     def counts(self, experiment: str) -> tuple[int, int]:
-        """How many observers an experiment has, and how many answers."""
+        """Counts of an experiment's observers and of its answers."""
         both = self._connection().execute(
             "SELECT (SELECT COUNT(*) FROM observers WHERE experiment = ?), (SELECT COUNT(*) FROM answers"
             " JOIN observers ON observers.id = answers.observer WHERE experiment = ?)",
@@ -270,7 +270,7 @@ class Store:
 
 
 def fingerprint(plan: Plan, experiment: str) -> str:
-    """What the trials of an experiment depend on, and the pictures in them; words and other experiments may change."""
+    """Hash of what the trials of an experiment depend on and show; words and other experiments may change."""
     asked = [asdict(one) | {"title": ""} for one in plan.experiments if one.name == experiment]
     used = {name for one in asked for name in one["stimuli"]}
     materials = [asdict(material) for material in plan.materials]

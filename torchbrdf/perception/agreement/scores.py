@@ -37,10 +37,17 @@ class Approximation(Protocol):
 
 @dataclass(frozen=True)
 class BenchmarkData:
-    """What people were asked about, as BRDFs: the materials, and approximations of some of them.
+    """Data of the benchmark: what people were asked about, as BRDFs, and their answers.
 
-    measured: has all materials of the triplets, by name. approximations: by method. Rows of the opinions of other
-    methods, or of materials that a method has no model of, are left out: `opinions` are those that remain.
+    Args:
+        measured: Has all materials of the triplets, by name.
+        triplets: Questions about materials.
+        all_opinions: Of approximations. Rows of methods without a model, or of materials that a method has no model
+            of, are left out: `opinions` are those that remain.
+        approximations: Models by method.
+
+    Raises:
+        DataError: A material is missing.
     """
 
     measured: Measured
@@ -99,10 +106,13 @@ class BenchmarkData:
 
 @dataclass(frozen=True)
 class EvaluatedBrdfs:
-    """What losses compare: materials `(K, n, 3)` in the order of the triplets' names, and approximations `(R, n, 3)` in
-    that of the opinions' rows. `target` is the place of each approximation's material, `(R,)`.
+    """Values of BRDFs that losses compare: materials, and approximations of them.
 
-    n counts pairs, and then `pairs` has them, or pixels that a loss observes, and then it is None.
+    Args:
+        materials: `(K, n, 3)`, in the order of the triplets' names; n counts pairs, or pixels that a loss observes.
+        approximations: `(R, n, 3)`, in the order of the opinions' rows.
+        target: The place of each approximation's material, `(R,)`.
+        pairs: Where the values are, or None for pixels.
     """
 
     materials: Tensor
@@ -112,9 +122,15 @@ class EvaluatedBrdfs:
 
 
 def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ObservedLoss | None = None) -> EvaluatedBrdfs:
-    """The values of all that people were asked about on some pairs, `(N,)` or `(1, N)`, once for all losses.
+    """Evaluate all BRDFs that people were asked about, once for all losses.
 
-    through: keep not the values but what this loss observes of them; `pairs` are then those of its scene.
+    Args:
+        data: What people were asked about.
+        pairs: `(N,)` or `(1, N)`.
+        through: Keep not the values but what this loss observes of them; `pairs` are then those of its scene.
+
+    Returns:
+        Values in the dtype of the pairs.
     """
     names = data.names
     place = {name: k for k, name in enumerate(names)}
@@ -135,9 +151,21 @@ def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ObservedLoss | No
 def distances(
     loss: Loss, prediction: Tensor, target: Tensor, pairs: Pairs | None, first: Tensor, second: Tensor
 ) -> Tensor:
-    """loss(prediction[first], target[second], pairs), `(P,)` float64, for P places in `(K, n, 3)` each; in batches.
+    """Distances that a loss gives: loss(prediction[first], target[second], pairs), in batches.
 
-    pairs: those of the values, or None, where what is compared is what an ObservedLoss observes.
+    Args:
+        loss: With reduction "none".
+        prediction: `(K, n, 3)`.
+        target: `(K, n, 3)`.
+        pairs: Those of the values, or None, where what is compared is what an ObservedLoss observes.
+        first: Places in `prediction`, `(P,)`.
+        second: Places in `target`, `(P,)`.
+
+    Returns:
+        `(P,)`, float64.
+
+    Raises:
+        UsageError: The loss reduces, or compares values on pairs and none are given.
     """
     if loss.reduction != "none":
         raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
@@ -156,8 +184,13 @@ def distances(
 
 
 def score_triplets(loss: Loss, seen: EvaluatedBrdfs, triplets: Triplets) -> Tensor:
-    """Distances of the candidates from the reference, `(K, K)` float64 at [reference, candidate]; nan where no question
-    asks for one. The candidate is the prediction, the reference the target."""
+    """Distances of triplets' candidates from their references by a loss.
+
+    The candidate is the prediction, the reference the target.
+
+    Returns:
+        `(K, K)` float64 at [reference, candidate]; nan where no question asks for one.
+    """
     count = len(triplets.materials)
     reference, a, b = triplets.questions.unbind(1)
     place = torch.cat([reference * count + a, reference * count + b]).unique()
@@ -169,6 +202,6 @@ def score_triplets(loss: Loss, seen: EvaluatedBrdfs, triplets: Triplets) -> Tens
 
 
 def score_opinions(loss: Loss, seen: EvaluatedBrdfs) -> Tensor:
-    """Distances of the approximations from their materials, `(R,)` float64. The material is the target."""
+    """Distances of approximations from their materials by a loss, `(R,)` float64. The material is the target."""
     rows = torch.arange(len(seen.approximations))
     return distances(loss, seen.approximations, seen.materials, seen.pairs, rows, seen.target)

@@ -30,9 +30,12 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Statistic:
-    """One column. rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what
-    disagreement between people lets anything reach of each comparison, or None if it is about no single answers.
-    added: the method that it has beside those of the main columns."""
+    """Statistic of the benchmark, one column of its table.
+
+    rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what disagreement between
+    people lets anything reach of each comparison, or None if it is about no single answers. added: the method that it
+    has beside those of the main columns.
+    """
 
     key: str
     label: str
@@ -51,7 +54,7 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Distances:
-    """Of one loss: `triplets` (K, K) at [reference, candidate], `opinions` (R,); None where it has none."""
+    """Distances of one loss: `triplets` (K, K) at [reference, candidate], `opinions` (R,); None where it has none."""
 
     triplets: Tensor | None
     opinions: Tensor | None
@@ -59,7 +62,7 @@ class Distances:
 
 @dataclass(frozen=True)
 class Table:
-    """Agreement of L losses with people by S statistics.
+    """Table of the benchmark: agreement of L losses with people by S statistics.
 
     value `(L, S)`, low and high `(L, S)`: 95 % intervals over materials; nan where a loss has no distances.
     ceiling, ceiling_low, ceiling_high `(S,)`, nan where there is none. replicates: `(S, B, L)`.
@@ -103,7 +106,7 @@ class Table:
 
 
 def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = LEFT_OUT) -> list[Statistic]:
-    """All columns: those of the triplets, of the opinions without some methods, and then with each of these added.
+    """Statistics of the benchmark: of the triplets, of the opinions without some methods, then with each of these.
 
     A statistic without any comparison is left out.
     """
@@ -152,7 +155,14 @@ def _of_opinions(opinions: Opinions, rows: Tensor, added: str) -> list[Statistic
 def tabulate(
     columns: list[Statistic], distances: Mapping[str, Distances], replicates: int = 1000, seed: int = 0
 ) -> Table:
-    """The table of some losses' distances; the same materials are drawn for all losses."""
+    """Tabulate how well losses agree with people, with intervals over materials; the same are drawn for all losses.
+
+    Args:
+        columns: Statistics, as `statistics_of` gives them.
+        distances: By loss.
+        replicates: Of the bootstrap.
+        seed: Of the bootstrap.
+    """
     losses = list(distances)
     shape = (len(columns), len(losses))
     value, ceiling = (

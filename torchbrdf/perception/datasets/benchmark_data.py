@@ -15,10 +15,18 @@ from torchbrdf.perception.datasets.triplets import read_triplets
 def read_benchmark_data(
     materials: str, human: str, fits: str, factors: str, triplets: str, opinions: str
 ) -> BenchmarkData:
-    """The materials in a folder, the answers in the folder `human`, and the approximations that are published.
+    """Read the data of the benchmark: materials, people's answers, and published approximations.
 
-    fits, factors: files, or names of files in `human`; without a file of factors their method has no model. triplets,
-    opinions: names of files in `human`. A missing file is a DataError that says where it comes from.
+    Args:
+        materials: The folder of MERL's tables.
+        human: The folder of answers.
+        fits: The file of published fits, or its name in `human`.
+        factors: The file of factors, or its name in `human`; without it their method has no model.
+        triplets: The name of a file in `human`.
+        opinions: The same.
+
+    Raises:
+        DataError: A file is missing, and where it comes from, or bad.
     """
     folder = Path(human)
     parameters, tables = (path if path.is_file() else folder / path for path in map(Path, (fits, factors)))

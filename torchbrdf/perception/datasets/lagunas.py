@@ -14,7 +14,12 @@ PICTURE_DISTANCES = ("dist_L2_lab", "dist_L4_lab")
 
 
 def read_lagunas(path: Path | str, materials: int = 100) -> dict[str, Tensor]:
-    """Distances `(K, K)` float64 by name, from the MAT file with the names of TABLE_LOSSES and of PICTURE_DISTANCES.
+    """Read distances between MERL's tables by Lagunas et al. 2019: `(K, K)` float64 by name, from a MAT file.
+
+    The names are those of TABLE_LOSSES and of PICTURE_DISTANCES.
+
+    Raises:
+        DataError: The file is missing, or a matrix is not as expected.
 
     Source: M. Lagunas et al., A similarity measure for material appearance, 2019, doi:10.1145/3306346.3323036.
     """

@@ -19,10 +19,13 @@ VOTES = 30
 
 @dataclass(frozen=True)
 class Opinions:
-    """Mean opinions of approximations, a row for each method and material: `distance` (R,) is 0 at best, 1 at worst.
+    """Mean opinion scores of approximations of materials, a row for each method and material.
 
-    methods, materials: of each row, R names. distance = (5 - MOS) / 4 where MOS is the mean of about 30 opinions from
-    1 (very different) to 5 (no difference), float64.
+    Args:
+        methods: Of each of R rows, a name.
+        materials: Of each row, a name.
+        distance: (5 - MOS) / 4, 0 at best and 1 at worst, `(R,)` float64; MOS is the mean of about 30 opinions from
+            1 (very different) to 5 (no difference).
 
     Source: G. Lavoue, N. Bonneel, J.-P. Farrugia, C. Soler, Perceptual quality of BRDF approximations: dataset and
     metrics, 2021, doi:10.1111/cgf.142636.
@@ -47,7 +50,7 @@ class Opinions:
         return (variance / VOTES).sqrt() / 4
 
     def select(self, rows: list[int]) -> "Opinions":
-        """Some of the rows, by index."""
+        """Opinions of some of the rows, by index."""
         return Opinions(
             [self.methods[row] for row in rows],
             [self.materials[row] for row in rows],
@@ -56,7 +59,11 @@ class Opinions:
 
 
 def read_opinions(path: Path | str) -> Opinions:
-    """Opinions from a CSV file with the columns method, material, distance."""
+    """Read mean opinions from a CSV file with the columns method, material, distance.
+
+    Raises:
+        DataError: The file is missing, or a line is not as expected.
+    """
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: no such file; expected {SOURCE}")

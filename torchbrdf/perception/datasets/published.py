@@ -131,7 +131,7 @@ no lobes here, and Low's Cook-Torrance and Ashikhmin-Shirley, whose Fresnel term
 
 @dataclass(frozen=True)
 class PublishedFits:
-    """One set: a batched model, Lambert plus a lobe, in 1/sr, with a row for each of `materials`.
+    """Published fits of one set: a batched model, Lambert plus a lobe, in 1/sr, with a row for each of `materials`.
 
     The parameters are as published, also where they lie outside the bounds of our fits.
     """
@@ -145,7 +145,7 @@ class PublishedFits:
         return len(self.materials)
 
     def of(self, materials: Sequence[str]) -> Sum:
-        """The batched model of these materials, in this order; a UsageError for one that the set lacks."""
+        """Batched model of some materials, in this order; a UsageError for one that the set lacks."""
         row = {name: k for k, name in enumerate(self.materials)}
         missing = [name for name in materials if name not in row]
         if missing:
@@ -156,15 +156,21 @@ class PublishedFits:
 def read_published(
     path: Path | str, *, dtype: torch.dtype | None = None, channel_scales: bool = True
 ) -> dict[str, PublishedFits]:
-    """The sets of a file that `SETS` knows, by name; others in it are passed over.
+    """Read published fits: the sets of a file that `SETS` knows, by name; others in it are passed over.
 
     The models are in the units of MERL tables as `torchbrdf.measured.load` reads them. Ngan's fits are not: their green
     and blue lack the factors 1.15 and 1.66 of MERL's reader, and are multiplied by them. Nobody says so; it is seen
     from the ratio of the diffuse albedos of Low's Cook-Torrance fits (low_cooktorrance_E2) and Ngan's of the same
     materials, whose medians are 1.02, 1.17 and 1.70, while Low's and Bagher's agree; and the fits come closer to the
-    tables so. `channel_scales=False` leaves them out.
+    tables so.
 
-    A file that is missing or holds something else, a missing or odd field or one that is not finite is a DataError.
+    Args:
+        path: The JSON file.
+        dtype: Of the models; by default torch's default dtype.
+        channel_scales: Whether Ngan's fits are multiplied by these factors.
+
+    Raises:
+        DataError: The file is missing or holds something else; a field is missing, odd, or not finite.
     """
     path = Path(path)
     if not path.exists():

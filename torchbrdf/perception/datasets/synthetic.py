@@ -18,21 +18,23 @@ SYNTHETIC = "made-up answers: nobody was asked"
 
 @dataclass(frozen=True)
 class Guess:
-    """Every material as its diffuse colour and one lobe of Ward's, all with one roughness."""
+    """Guess at materials: each as its diffuse colour and one lobe of Ward's, all with one roughness."""
 
     materials: list[str]
     diffuse: torch.Tensor
     roughness: float
 
     def of(self, materials: Sequence[str]) -> Lobe:
-        """A batched model of these materials."""
+        """Batched model of some materials."""
         rows = [self.materials.index(name) for name in materials]
         lobe = Ward(specular=torch.full((len(rows), 3), 0.1), roughness=torch.full((len(rows), 1), self.roughness))
         return Sum(Lambert(albedo=self.diffuse[rows]), lobe)
 
 
 def synthetic_benchmark(questions: int = 300, seed: int = 0) -> BenchmarkData:
-    """The bundled stand-ins, three guesses at each, and answers drawn around differences of cube roots.
+    """Synthetic data of the benchmark: the bundled stand-ins, three guesses at each, and made-up answers.
+
+    Answers are drawn around differences of cube roots.
 
     Nobody was asked: such answers only show that all works.
     """

@@ -25,10 +25,12 @@ def file_order(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Triplets:
-    """Questions: is material a or material b more like the reference? With the votes for each.
+    """Triplets: is material a or material b more like the reference? With the votes for each.
 
-    materials: names, in the order of their files. questions: [reference, a, b], indices into materials, `(T, 3)` long.
-    votes: for a and for b, `(T, 2)` long.
+    Args:
+        materials: Names, in the order of their files.
+        questions: [reference, a, b], indices into materials, `(T, 3)` long.
+        votes: For a and for b, `(T, 2)` long.
 
     Source: M. Lagunas et al., A similarity measure for material appearance, 2019, doi:10.1145/3306346.3323036.
     """
@@ -42,7 +44,7 @@ class Triplets:
 
     @property
     def decided(self) -> Tensor:
-        """Whether one candidate has more votes than the other, `(T,)`; the others are ties."""
+        """Decided questions: whether one candidate has more votes than the other, `(T,)`; the others are ties."""
         return self.votes[:, 0] != self.votes[:, 1]
 
     def select(self, chosen: Tensor) -> "Triplets":
@@ -51,9 +53,24 @@ class Triplets:
 
 
 def read_triplets(path: Path | str, materials: Sequence[str] | None = None) -> Triplets:
-    """Triplets from a JSON file with `answers` [reference, a, b] and `agreement` [votes for a, votes for b].
+    """Read triplets of Lagunas et al. 2019 from a JSON file.
 
-    materials: the names that the answers count, in the order of their files; by default the 100 of MERL.
+    The file has `answers` [reference, a, b] and `agreement` [votes for a, votes for b].
+
+    Args:
+        path: The file.
+        materials: The names that the answers count, in the order of their files; by default the 100 of MERL.
+
+    Raises:
+        DataError: The file is missing, or a question or its votes are not as expected.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "triplets.json"
+        ...     _ = path.write_text('{"answers": [[0, 1, 2]], "agreement": [[4, 1]]}')
+        ...     read_triplets(path, ["nickel", "brass", "nylon"]).votes
+        tensor([[4, 1]])
     """
     names = file_order(list(MERL_SHA256)) if materials is None else list(materials)
     path = Path(path)

@@ -45,7 +45,7 @@ class History:
 
 
 def select_judgments(training_set: TrainingSet, own: Judgments, split: Split, *, seen: bool) -> Judgments:
-    """The answers that a split learns from, or those about nothing of what it learns from."""
+    """Judgments that a split learns from, or those about nothing of what it learns from."""
     inside = split.materials[own.materials]
     if split.without < 0:
         return own.select(inside.all(1) if seen else ~inside.any(1))
@@ -74,7 +74,7 @@ def negative_log_likelihood(
 
 
 def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
-    """L-BFGS from equal weights on what a split learns from; the rest judges.
+    """Train weights on what a split learns from, by L-BFGS from equal weights; the rest judges.
 
     Weights are squares, so at least 0, and the pointwise ones have a share of `MIN_POINTWISE_SHARE` of their sum; terms
     are taken in units of their means. There is nothing random in it; early stopping is the choice of an iteration.
@@ -116,7 +116,7 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
 
 
 def units(training_set: TrainingSet) -> Tensor:
-    """The mean of each term over the distances of two materials, or over all if there are none, `(T,)`."""
+    """Scale of the terms `(T,)`: the mean of each over the distances of two materials, or over all if there are none."""
     return training_set.terms[_usual(training_set)].mean(0).clamp_min(1e-12)
 
 
@@ -141,12 +141,12 @@ def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split
 
 
 def best_iteration(histories: list[History]) -> int:
-    """The iteration at which held-out answers are likeliest, on average over the trainings."""
+    """Early stopping: the iteration at which held-out answers are likeliest, on average over the trainings."""
     return int(torch.stack([history.curve[:, 1] for history in histories]).mean(0).argmin())
 
 
 def finished(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
-    """Weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
+    """Finished weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
     mean = training_set.distances(weights)[_usual(training_set)].mean()
     return named(weights / mean.square())
 
@@ -154,7 +154,7 @@ def finished(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
 def baseline_distances(
     training_set: TrainingSet, seen: EvaluatedBrdfs, losses: Mapping[str, Loss]
 ) -> dict[str, Tensor]:
-    """What other losses give for the distances of a training set, `(E,)` each."""
+    """Distances of a training set by other losses, `(E,)` each."""
     between = training_set.method < 0
     found = {}
     for name, loss in losses.items():
@@ -178,7 +178,7 @@ def held_out(
     seed: int = 0,
     replicates: int = 1000,
 ) -> HeldOut:
-    """How often distances are ordered as people order them, by weights learned without any of their materials.
+    """Held-out agreement: how often distances are ordered right by weights learned without their materials.
 
     judged: splits, and the weights `(T,)` that were learned in them; others: distances to compare with, `(E,)` each.
     `{statistic: {"learned" or other: {"share": [value, low, high], "gain": [...]}}}`: 95 % intervals from materials

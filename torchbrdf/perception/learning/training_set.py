@@ -21,7 +21,7 @@ _HELD = 64
 
 @dataclass(frozen=True)
 class Judgments:
-    """C comparisons of two distances, each a place among E: which share of votes found `first` smaller.
+    """Judgments of C pairs of distances, each a place among E: which share of votes found `first` smaller.
 
     first, second: `(C,)` long; share, count (how much each counts): `(C,)` float64; materials: the places of those it
     is about, `(C, k)` long.
@@ -37,13 +37,13 @@ class Judgments:
         return len(self.first)
 
     def select(self, keep: Tensor) -> "Judgments":
-        """Some of them."""
+        """Some of the judgments, by index or by mask."""
         return Judgments(*(getattr(self, one.name)[keep] for one in fields(self)))
 
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """E distances, by their terms, and what people were asked of them.
+    """Training set: E distances, by their terms, and what people judged of them.
 
     names: of K materials. terms: `(E, T)`, what the weights of `LearnedLoss` multiply. first, second: `(E,)`, places in
     `EvaluatedBrdfs`: of the prediction, among its materials, or its approximations where `method` is at least 0, and
@@ -61,12 +61,12 @@ class TrainingSet:
     statistics: dict[str, DistanceComparisons]
 
     def distances(self, weights: Tensor) -> Tensor:
-        """sqrt(terms . weights), `(E,)`; 1e-12 keeps the slope finite."""
+        """Distances under some weights: sqrt(terms . weights), `(E,)`; 1e-12 keeps the slope finite."""
         return (self.terms @ weights + 1e-12).sqrt()
 
 
 def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Collection[str] = ()) -> TrainingSet:
-    """Triplets and opinions, without the opinions of some methods."""
+    """Make a training set of triplets and opinions, without the opinions of some methods."""
     names, every = data.names, data.opinions
     kept = [row for row, method in enumerate(every.methods) if method not in leave_out]
     opinions, triplets = every.select(kept), data.triplets
@@ -103,7 +103,7 @@ def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Coll
 def training_set_from_choices(
     names: list[str], stimuli: list[str], seen: EvaluatedBrdfs, pairs: Tensor, votes: Tensor
 ) -> TrainingSet:
-    """Which of two approximations of a material observers found closer to it.
+    """Training set of observers' choices: which of two approximations they found closer to a material.
 
     names: of the materials that `seen` has; stimuli: the name of each of its R approximations. pairs: places of two of
     these, `(C, 2)` long; votes: how many chose either, `(C, 2)`.
@@ -143,7 +143,7 @@ def terms_of(seen: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor
 
 
 def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
-    """Several training sets as one; parts of one name become one, and materials of one name are the same.
+    """Merge training sets into one; parts of one name become one, and materials of one name are the same.
 
     first and second are places in each one's own `EvaluatedBrdfs`.
     """

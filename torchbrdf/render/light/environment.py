@@ -27,19 +27,36 @@ _WIDEST = 4 * RESOLUTION
 
 @dataclass(frozen=True)
 class EnvironmentSamples:
-    """Fixed directional lights: unit `direction` `(L, 3)`, and `flux` `(L, 3)`, radiance times solid angle."""
+    """Directional lights that stand for an environment.
+
+    Attributes:
+        direction: Unit vectors, `(L, 3)`.
+        flux: Radiance times solid angle, `(L, 3)`.
+    """
 
     direction: Tensor
     flux: Tensor
 
 
 class Environment:
-    """Radiance from every direction, kept as an equal-area octahedral map and its averages.
+    """Environment lighting: radiance from every direction, kept as an equal-area octahedral map and its averages.
 
     The vertical axis is +y. A latitude-longitude picture (width = 2 height) shows -z in its middle, +x to the right
-    of that and +y at its top; Debevec's angular map (square) shows the same, with +z all along its rim. `rotation`
-    turns the surroundings about +y, counter-clockwise as seen from above, in degrees.
-    Source of the conventions: P. Debevec, https://www.pauldebevec.com/Probes/.
+    of that and +y at its top; Debevec's angular map (square) shows the same, with +z all along its rim.
+
+    Args:
+        texels: The octahedral map, `(n, n, 3)`, linear radiance; `from_image` and `from_file` make it.
+        rotation: Turns the surroundings about +y, counter-clockwise as seen from above, in degrees.
+
+    Raises:
+        UsageError: The rotation is not finite.
+
+    Source: of the conventions, P. Debevec, https://www.pauldebevec.com/Probes/.
+
+    Example:
+        >>> white = Environment.from_image(torch.ones(16, 32, 3))
+        >>> white.lookup(torch.tensor([[0.0, 1.0, 0.0]]), torch.tensor([0.1]))
+        tensor([[1., 1., 1.]])
     """
 
     def __init__(self, texels: Tensor, rotation: float = 0.0) -> None:
@@ -50,25 +67,42 @@ class Environment:
 
     @classmethod
     def from_file(cls, path: str | Path, rotation: float = 0.0) -> "Environment":
-        """From a `.exr` or Radiance `.hdr` picture, latitude-longitude or angular map."""
+        """Environment from a `.exr` or Radiance `.hdr` picture, latitude-longitude or angular map.
+
+        Raises:
+            DataError: The file is no such picture.
+        """
         return cls.from_image(read_image(path), rotation, where=str(path))
 
     @classmethod
     def default(cls, rotation: float = 0.0) -> "Environment":
-        """The grove that comes with the package; `torchbrdf.assets.make_grove` made it."""
+        """Environment that comes with the package, a grove; `torchbrdf.assets.make_grove` made it."""
         with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "grove.exr") as path:
             return cls.from_file(path, rotation)
 
     @classmethod
     def find(cls, name: str, rotation: float = 0.0) -> "Environment":
-        """The grove, the studio (`torchbrdf.render.light.studio`), or a light probe's file."""
+        """Environment of a name: "grove", "studio" (`torchbrdf.render.light.studio`), or a light probe's file.
+
+        Raises:
+            DataError: The file is no picture of an environment.
+        """
         if name == "grove":
             return cls.default(rotation)
         return cls.from_image(make_studio(), rotation) if name == "studio" else cls.from_file(name, rotation)
 
     @classmethod
     def from_image(cls, image: Tensor, rotation: float = 0.0, where: str = "environment") -> "Environment":
-        """From a linear picture `(H, W, 3)`, area-averaged onto the map."""
+        """Environment from a linear picture `(H, W, 3)`, area-averaged onto the map.
+
+        Args:
+            image: Latitude-longitude (W = 2 H) or angular map (W = H), finite and at least 0.
+            rotation: As for the class.
+            where: What errors call it.
+
+        Raises:
+            DataError: It is no such picture.
+        """
         _check(image, where)
         height, width = image.shape[:2]
         planes = image.to(torch.float32).movedim(-1, 0)[None]
@@ -142,7 +176,7 @@ class Environment:
         return found.reshape(*directions.shape[:-1], 3)
 
     def light_samples(self, count: int) -> EnvironmentSamples:
-        """At most `count` lights that stand for the whole environment with the same flux.
+        """Importance samples of the environment: at most `count` lights that together have its flux.
 
         The map is a quadtree. Where the luminance-weighted variance of direction times flux, the leading term of what
         one light in a node's place gets wrong, is largest, the node is split; each leaf becomes a light at its

@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def to_square(directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Both coordinates, `(...)` each, of unit vectors `(..., 3)`."""
+    """Coordinates in the square, `(...)` each, of unit vectors `(..., 3)`."""
     x, y, z = directions.unbind(-1)
     # sqrt(1 - |y|), without the cancellation near the poles
     radius = ((x.square() + z.square()) / (1 + y.abs())).sqrt()
@@ -23,7 +23,7 @@ def to_square(directions: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def to_sphere(first: Tensor, second: Tensor) -> Tensor:
-    """Unit vectors `(..., 3)` of coordinates `(...)`."""
+    """Unit vectors `(..., 3)` of coordinates in the square, `(...)` each."""
     signed = 1 - first.abs() - second.abs()
     radius = 1 - signed.abs()
     share = (second.abs() - first.abs()) / torch.where(radius > 0, radius, 1)

@@ -19,10 +19,18 @@ NEAREST = 1e-6
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Parallel light, as of the sun. The vertical axis is +y.
+    """Directional light: parallel, as of the sun. The vertical axis is +y.
 
-    direction: toward the light, of any length, kept as a unit vector. irradiance: W/m^2 on a surface that faces it,
-    red, green and blue, or one number for all three.
+    Args:
+        direction: Toward the light, of any length, kept as a unit vector.
+        irradiance: W/m^2 on a surface that faces the light, red, green and blue, or one number for all three.
+
+    Raises:
+        UsageError: The direction is 0, or a number is not finite or an irradiance below 0.
+
+    Example:
+        >>> DirectionalLight((0, 2, 0), 3.0)
+        DirectionalLight(direction=(0.0, 1.0, 0.0), irradiance=(3.0, 3.0, 3.0))
     """
 
     direction: Triple
@@ -47,11 +55,22 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light that a point sends out equally in all directions. The vertical axis is +y.
+    """Point light: sends light out equally in all directions. The vertical axis is +y.
 
-    position: in the units of the mesh. intensity: W/sr, red, green and blue, or one number for all three; at distance r
-    the irradiance on a surface that faces the light is intensity / r^2. r counts as at least 1e-6 there. A light
-    exactly at a point of the surface has no direction, `at` gives 0 for it, and so it adds nothing there.
+    At distance r the irradiance on a surface that faces the light is intensity / r^2, where r counts as at least 1e-6.
+    A light exactly at a point of the surface has no direction, `at` gives 0 for it, and so it adds nothing there.
+
+    Args:
+        position: In the units of the mesh.
+        intensity: W/sr, red, green and blue, or one number for all three.
+
+    Raises:
+        UsageError: A number is not finite, or an intensity below 0.
+
+    Example:
+        >>> _, irradiance, distance = PointLight((0, 2, 0), 8.0).at(torch.zeros(1, 3))
+        >>> irradiance, distance
+        (tensor([[2., 2., 2.]]), tensor([2.]))
     """
 
     position: Triple
@@ -77,10 +96,18 @@ _KINDS: dict[str, type[PunctualLight]] = {"directional": DirectionalLight, "poin
 
 
 def parse_light(text: str) -> PunctualLight:
-    """A light from `KIND:X,Y,Z:COLOR`, as a command line gives it.
+    """Punctual light from `KIND:X,Y,Z:COLOR`, as a command line gives it.
 
-    `directional:0.3,1,0.5:2` is a DirectionalLight of that direction and irradiance, `point:1,2,3:5,5,4` a PointLight
-    of that position and intensity. COLOR is `R,G,B` or one number, 1 if it is left out.
+    Args:
+        text: `directional:` with a direction and an irradiance, or `point:` with a position and an intensity. COLOR
+            is `R,G,B` or one number, 1 if it is left out.
+
+    Raises:
+        UsageError: The text says no light.
+
+    Example:
+        >>> parse_light("point:1,2,3:5,5,4")
+        PointLight(position=(1.0, 2.0, 3.0), intensity=(5.0, 5.0, 4.0))
     """
     kind, *rest = text.split(":")
     if kind not in _KINDS or len(rest) not in (1, 2):

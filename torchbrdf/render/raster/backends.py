@@ -21,7 +21,7 @@ _INSTALL = "on Debian apt-get install libegl1 libgl1 libgl1-mesa-dri libxrender1
 
 @dataclass(frozen=True)
 class OpenGL:
-    """What was found: the renderer's name, or, if that is None, why it does not work."""
+    """OpenGL as it was found: the renderer's name, or, if that is None, why it does not work."""
 
     renderer: str | None
     reason: str = ""

@@ -16,10 +16,20 @@ _FILL = 0.92
 class Camera:
     """A perspective camera that looks at the middle of an object.
 
-    rotation: degrees about the vertical axis through the object; 0 looks from +z, 90 from +x.
-    field_of_view: of the whole frame, in degrees.
-    elevation: degrees above the horizon, from where the camera looks down; below 0 it looks up.
-    distance: of the eye from the middle, in radii of the bounding sphere; None is as far as the field of view asks.
+    Args:
+        rotation: Degrees about the vertical axis through the object; 0 looks from +z, 90 from +x.
+        field_of_view: Of the whole frame, 1 to 120 degrees.
+        elevation: Degrees above the horizon, from where the camera looks down, -89 to 89; below 0 it looks up.
+        distance: Of the eye from the middle, in radii of the bounding sphere; None is as far as the field of view asks.
+
+    Raises:
+        UsageError: A number is out of its range.
+
+    Example:
+        >>> from torchbrdf.render import sphere
+        >>> eye, axes = Camera(rotation=90, distance=2).pose(sphere(0))
+        >>> eye.round(6).tolist()
+        [2.0, 0.0, 0.0]
     """
 
     rotation: float = 0.0
@@ -41,7 +51,15 @@ class Camera:
             )
 
     def pose(self, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-        """The eye `(3,)`, and the camera's axes as rows `(3, 3)`: right, up, and back from the object to the eye."""
+        """Where the camera stands before a mesh, and how it is turned.
+
+        Returns:
+            The eye `(3,)` in the units of the mesh, and the camera's axes as rows `(3, 3)`: right, up, and back from
+            the object to the eye.
+
+        Raises:
+            DataError: All vertices are in one place.
+        """
         center, radius = mesh.bounding_sphere
         if not radius > 0:
             raise DataError(f"camera: expected a mesh with an extent, found {len(mesh.vertices)} vertices in one place")
@@ -56,7 +74,7 @@ class Camera:
         return center + distance * radius * back, np.stack([right, up, back])
 
     def project(self, mesh: Mesh, size: int) -> np.ndarray:
-        """Column, row and closeness of every vertex, `(3, V)`, for a picture of `size` x `size` pixels.
+        """Where vertices are in a picture of `size` x `size` pixels: column, row and closeness of each, `(3, V)`.
 
         Pixel (row, column) has its centre at exactly these numbers. Closeness is 1 / depth, which is linear on the
         screen along a triangle; all of the mesh is in front of the camera, so that it is positive.

@@ -13,9 +13,18 @@ from torchbrdf.errors import DataError
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with smooth normals: vertices `(V, 3)`, faces `(F, 3)`, unit normals `(V, 3)` pointing outward.
+    """A triangle mesh with smooth normals. The vertical axis is +y.
 
-    The vertical axis is +y.
+    Args:
+        vertices: `(V, 3)`, float64, in any unit.
+        faces: Indices of the corners of each triangle, `(F, 3)`.
+        normals: Unit vectors pointing outward, `(V, 3)`.
+
+    Example:
+        >>> from torchbrdf.render import sphere
+        >>> ball = sphere(levels=1)
+        >>> ball.vertices.shape, ball.faces.shape
+        ((18, 3), (32, 3))
     """
 
     vertices: np.ndarray
@@ -24,12 +33,15 @@ class Mesh:
 
     @classmethod
     def load(cls, path: str | Path) -> "Mesh":
-        """Read any file that trimesh reads.
+        """Read a mesh from any file that trimesh reads.
 
         Without normals in the file they are averaged over the faces around a vertex, vertices at one place merged.
         What is amiss is repaired, and said in the log: faces without area are dropped, a closed mesh that is inside
         out is turned (of an open one that cannot be known, but both sides are drawn), and a vertex without a normal,
         such as one whose faces cancel, takes that of one of its faces.
+
+        Raises:
+            DataError: The file cannot be read, or holds no triangle with an area.
         """
         import trimesh  # late, because it takes longer to import than the rest of this package
 
@@ -77,7 +89,7 @@ class Mesh:
         return cls(np.array(mesh.vertices, np.float64), faces, normals)
 
     def save(self, path: str | Path) -> None:
-        """Write a binary PLY with normals, single precision."""
+        """Write the mesh as a binary PLY with normals, single precision."""
         names = ("x", "y", "z", "nx", "ny", "nz")
         properties = "".join(f"property float {name}\n" for name in names)
         header = (
@@ -91,7 +103,7 @@ class Mesh:
 
     @property
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
-        """The middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
+        """Bounding sphere: the middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
         center = (self.vertices.min(0) + self.vertices.max(0)) / 2
         return center, float(np.linalg.norm(self.vertices - center, axis=1).max())
 
@@ -108,21 +120,35 @@ def _only_part(scene: Any) -> Any:
 
 
 def sphere(levels: int = 6) -> Mesh:
-    """The unit sphere: an octahedron divided `levels` times, 8 * 4^levels faces, with exact normals."""
+    """Mesh of the unit sphere, with exact normals.
+
+    Args:
+        levels: How often the faces of an octahedron are divided; there are 8 * 4^levels faces.
+
+    Example:
+        >>> len(sphere(3).faces)
+        512
+    """
     vertices, faces = octahedral_sphere(levels)
     return Mesh(vertices, faces, vertices.copy())
 
 
 def blob() -> Mesh:
-    """The project's blob, from `assets/blob.ply`: convex and concave, as in P. Vangorp et al., The Influence of Shape
-    on the Perception of Material Reflectance, 2007, doi:10.1145/1275808.1276473, where such a shape told materials
-    apart best. `torchbrdf.assets.make_blob` made it."""
+    """Mesh of the bundled blob: convex and concave, so that it shows materials well.
+
+    Such a shape told materials apart best in P. Vangorp et al., The Influence of Shape on the Perception of Material
+    Reflectance, 2007, doi:10.1145/1275808.1276473. `torchbrdf.assets.make_blob` made it.
+    """
     with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "blob.ply") as path:
         return Mesh.load(path)
 
 
 def find_mesh(name: str) -> Mesh:
-    """The blob, the sphere, or a mesh file."""
+    """Mesh of a name: "blob", "sphere", or a file.
+
+    Raises:
+        DataError: The file is no mesh.
+    """
     made = {"blob": blob, "sphere": sphere}
     return made[name]() if name in made else Mesh.load(name)
 

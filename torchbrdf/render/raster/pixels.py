@@ -1,4 +1,4 @@
-"""What each pixel of a view shows: a point of the surface, its frame, and the way to the viewer."""
+"""What each pixel of a picture shows: a point of the surface, its frame, and the way to the viewer."""
 
 import math
 from dataclasses import dataclass
@@ -40,12 +40,12 @@ class Pixels:
         return len(self.index)
 
     def select(self, rows: Tensor) -> "Pixels":
-        """Some of them, by row."""
+        """Some of the pixels, by row."""
         return Pixels(self.coverage, self.index[rows], self.position[rows], self.frame[rows], self.outgoing[:, rows])
 
 
 def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pixels:
-    """Look at a mesh. A DataError if there is nothing to see."""
+    """Rasterize a mesh: the surface that each pixel shows. A DataError if there is nothing to see."""
     fine = rasterize(mesh, camera, size * _FINER, backend)
     eye, _ = camera.pose(mesh)
 

@@ -17,7 +17,7 @@ _PIXELS = 1 << 14
 
 @dataclass(frozen=True)
 class GBuffer:
-    """What a camera sees, each `(size, size, ...)`, top row first: the triangle's id (-1 for none), positions
+    """Geometry that a camera sees, each `(size, size, ...)`, top row first: the triangle's id (-1 for none), positions
     and smooth unit normals (0 where there is nothing)."""
 
     triangle: np.ndarray
@@ -31,7 +31,7 @@ class GBuffer:
 
 
 def rasterize(mesh: Mesh, camera: Camera, size: int, backend: str = "software") -> GBuffer:
-    """What is at the centre of each of `size` x `size` pixels. Triangles have two sides.
+    """Rasterize a mesh: what is at the centre of each of `size` x `size` pixels. Triangles have two sides.
 
     backend: what finds the triangles, see `render.raster.backends`; all else is the same code in double precision.
     """

@@ -23,7 +23,10 @@ _ROOM = 2 * 2**30
 
 
 def cache_folder() -> Path:
-    """Where the command line keeps transports: TORCHBRDF_CACHE, or `torchbrdf` in the user's folder of caches."""
+    """Folder where the command line keeps transports.
+
+    TORCHBRDF_CACHE, or `torchbrdf` in the user's folder of caches.
+    """
     given = os.environ.get("TORCHBRDF_CACHE")
     if given:
         return Path(given)
@@ -31,7 +34,7 @@ def cache_folder() -> Path:
 
 
 def load_or_build(folder: Path, ingredients: list[object], build: Callable[[], Made]) -> Made:
-    """What `build` makes of these ingredients: from the folder, if it is there, else made and put there.
+    """Transport from the cache's folder, or made by `build` of these ingredients and put there.
 
     A file that cannot be read is made anew, and a folder that cannot be written is passed over; either is said.
     """

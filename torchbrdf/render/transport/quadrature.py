@@ -46,8 +46,10 @@ _STEPS = 180
 
 
 class Quadrature(Protocol):
-    """A part of the quadrature. `length`: pairs of a pixel at most; `bins`: of the compact pairs at most, with so many
-    `dimensions`."""
+    """Protocol of quadratures over light.
+
+    length: pairs of a pixel at most. bins: of the compact pairs at most, with so many `dimensions`.
+    """
 
     length: int
     bins: int
@@ -64,7 +66,7 @@ class Quadrature(Protocol):
 
 
 class HalfVectorQuadrature:
-    """Half vectors around the mirror direction. Every quantity follows from the node and from theta_o."""
+    """Quadrature over half vectors around the mirror direction. All follows from the node and from theta_o."""
 
     dimensions = 1
 
@@ -86,7 +88,7 @@ class HalfVectorQuadrature:
         return tuple(part.to(torch.float32) for part in parts)  # type: ignore[return-value]
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
-        """Pairs and weights."""
+        """Pairs and weights of some pixels over the nodes."""
         frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
         half, tan2_h, solid, share = self.nodes
         incident, cos_d = _reflected(half, outgoing)
@@ -98,14 +100,14 @@ class HalfVectorQuadrature:
         return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1]), radiance * counted[..., None]
 
     def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """By node and theta_o."""
+        """Bins by node and theta_o."""
         theta_o = torch.atan2(*self.pixels.outgoing[[0, 2]][:, rows])
         step = (theta_o * (_STEPS / (math.pi / 2))).long().clamp(0, _STEPS - 1)
         bins = step[:, None] * self.length + torch.arange(self.length)
         return bins.flatten(), theta_o[:, None].expand(bins.shape).reshape(1, -1)
 
     def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """The node seen from the mean theta_o of its bin."""
+        """Pairs of the node seen from the mean theta_o of its bin."""
         half, tan2_h, _, _ = (part[..., bins % self.length].double() for part in self.nodes)
         outgoing = torch.stack([mean[0].sin(), torch.zeros_like(mean[0]), mean[0].cos()])
         incident, cos_d = _reflected(half, outgoing)
@@ -113,7 +115,10 @@ class HalfVectorQuadrature:
 
 
 class LightQuadrature:
-    """The same lights for every pixel. Bins are those of a MERL table, or coarser: theta_h^(1/2), theta_d, phi_d."""
+    """Quadrature over the same lights for every pixel.
+
+    Bins are those of a MERL table, or coarser: theta_h^(1/2), theta_d, phi_d.
+    """
 
     dimensions = 3
 
@@ -126,7 +131,7 @@ class LightQuadrature:
         self.bins = math.prod(resolution)
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
-        """Pairs and weights; lights below the horizon of all these pixels are left out."""
+        """Pairs and weights of some pixels; lights below the horizon of all these pixels are left out."""
         frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
         used = (frame[:, 2] @ self.lights.direction.T > 0).any(0)
         direction = self.lights.direction[used]
@@ -139,7 +144,7 @@ class LightQuadrature:
         return pairs, self.lights.flux[used] * counted[..., None]
 
     def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """By half and difference angles."""
+        """Bins by half and difference angles."""
         place = torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
         share = (place[0] / (math.pi / 2)).sqrt(), place[1] / (math.pi / 2), place[2] / math.pi
         bins = torch.zeros(place.shape[1], dtype=torch.int64)
@@ -148,12 +153,12 @@ class LightQuadrature:
         return bins, place
 
     def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """The mean of the angles in each bin."""
+        """Pairs of the mean of the angles in each bin."""
         return Pairs.from_half_diff(*mean[:, None])
 
 
 class PunctualQuadrature:
-    """Point and directional lights; their pairs are not binned, since there are few."""
+    """Quadrature over point and directional lights; their pairs are not binned, since there are few."""
 
     dimensions = 3
 
@@ -163,7 +168,7 @@ class PunctualQuadrature:
         self.bins = len(pixels) * len(punctual_lights)
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
-        """Pairs and weights: irradiance times the cosine."""
+        """Pairs of some pixels, and weights: irradiance times the cosine."""
         frame, outgoing, position = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None], self.pixels.position
         found = [light.at(position[rows]) for light in self.punctual_lights]
         direction, irradiance = (torch.stack([one[k] for one in found], 1) for k in (0, 1))
@@ -176,17 +181,17 @@ class PunctualQuadrature:
         return pairs, irradiance * counted[..., None]
 
     def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Each in its own."""
+        """Bins of one pair each."""
         bins = rows[:, None] * self.length + torch.arange(self.length)
         return bins.flatten(), torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
 
     def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """Itself."""
+        """The one pair of each bin."""
         return Pairs.from_half_diff(*mean[:, None])
 
 
 def half_vector_weight(cos_h: Tensor) -> Tensor:
-    """The weight s: 1 for half vectors near the normal, 0 far from it, smooth (3 t^2 - 2 t^3) in between."""
+    """Weight s of the half-vector quadrature: 1 near the normal, 0 far from it, smooth (3 t^2 - 2 t^3) in between."""
     inner, outer = math.cos(math.radians(NEAR)), math.cos(math.radians(FAR))
     t = ((cos_h - outer) / (inner - outer)).clamp(0, 1)
     return t.square() * (3 - 2 * t)

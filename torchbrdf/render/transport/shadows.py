@@ -18,7 +18,7 @@ _REACH = 16
 
 
 class Occluder:
-    """A mesh that light may be kept off by.
+    """Occluder: a mesh that light may be kept off by.
 
     Rays start on the smooth surface that the normals belong to, and not on the flat triangles, where a light that is
     above the horizon of the smooth normal may be below that of the triangle: neighbours would then shade each other,
@@ -52,7 +52,7 @@ class Occluder:
     def visible(
         self, origin: Tensor, direction: Tensor, wanted: Tensor | None = None, limit: Tensor | float | None = None
     ) -> Tensor:
-        """Whether nothing of the mesh is met, bool `(p, L)`.
+        """Visibility of lights from points: whether nothing of the mesh is met, bool `(p, L)`.
 
         origin: points of the surface, `(p, 3)`. direction: unit vectors, `(p, L, 3)`, all on the side of the surface
         that is lit. wanted: bool `(p, L)`, where there is a question; the answer is False elsewhere, at no cost. limit:

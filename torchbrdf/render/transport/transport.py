@@ -33,7 +33,7 @@ class Block:
     value: Tensor
 
     def times(self, table: Tensor) -> Tensor:
-        """The product with columns of numbers `(N, K)`, `(3, p, K)`."""
+        """Product of the block with columns of numbers `(N, K)`, `(3, p, K)`."""
         # embedding_bag is torch's fastest sparse product: both cores, no copy of the gathered rows.
         found = [
             F.embedding_bag(
@@ -44,15 +44,15 @@ class Block:
         return torch.stack(found)
 
     def channel(self, k: int) -> "Block":
-        """The entries with the values of one channel only."""
+        """The block with the values of one channel only."""
         return Block(self.rows, self.start, self.column, self.value[k : k + 1])
 
     def to(self, device: torch.device | str) -> "Block":
-        """On another device."""
+        """The block on another device."""
         return Block(*(part.to(device) for part in (self.rows, self.start, self.column, self.value)))
 
     def transposed(self, columns: int) -> "Block":
-        """The entries column by column, with the rows in the place of columns."""
+        """The transposed block: entries column by column, with the rows in the place of columns."""
         # scipy turns the pattern round in linear time; what it carries along says where each entry went.
         shape = (len(self.start) - 1, columns)
         order = np.arange(len(self.column), dtype=np.int32)
@@ -63,11 +63,14 @@ class Block:
 
 
 class Transport:
-    """What makes the picture of values on a scene's pairs: `transport @ values`, or `transport.pixels(values)`.
+    """Light transport matrix: what makes the picture of BRDF values on a scene's pairs, `transport @ values`.
 
-    count: N, the pairs; index: `(P,)`, where each row of the matrix is in the picture, row by row; size: of the square
-    picture. The entries come in blocks, each row in one or several of them: kept in memory, or, where that would be too
-    much, made anew for each product.
+    Args:
+        count: N, the pairs.
+        index: Where each of the P rows of the matrix is in the picture, `(P,)`, row by row.
+        size: Pixels of a side of the picture.
+        blocks: The entries, each row in one or several blocks: kept in memory, or, where that would be too much, a
+            function that makes them anew for each product.
     """
 
     def __init__(self, count: int, index: Tensor, size: int, blocks: Sequence[Block] | Callable[[], Iterator[Block]]):
@@ -82,7 +85,7 @@ class Transport:
 
     @property
     def blocks(self) -> Iterator[Block]:
-        """The entries."""
+        """Blocks of entries."""
         return self._blocks() if callable(self._blocks) else iter(self._blocks)
 
     @property
@@ -91,7 +94,11 @@ class Transport:
         return sum(len(block.column) for block in self.blocks)
 
     def __matmul__(self, values: Tensor) -> Tensor:
-        """The linear picture `(M, size, size, 3)` of values `(M, N, 3)` in 1/sr, 0 where nothing is; differentiable."""
+        """The linear picture `(M, size, size, 3)` of values `(M, N, 3)` in 1/sr, 0 where nothing is; differentiable.
+
+        Raises:
+            ShapeError: The values are not on the scene's pairs.
+        """
         return self.picture(self.pixels(values))
 
     def picture(self, pixels: Tensor) -> Tensor:
@@ -143,7 +150,7 @@ class Transport:
         return Transport(int(kept.sum()), self.index[rows], self.size, parts), kept.nonzero()[:, 0]
 
     def to(self, device: torch.device | str) -> "Transport":
-        """On another device."""
+        """The transport on another device."""
         if callable(self._blocks):
             make = self._blocks
             return Transport(self.count, self.index.to(device), self.size, lambda: (one.to(device) for one in make()))
@@ -190,7 +197,7 @@ Job = tuple[Quadrature, Tensor]
 
 
 def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
-    """The compact pairs `(1, N)`, float32, of a quadrature, and what gives its blocks, job after job.
+    """Build a transport: compact pairs `(1, N)`, float32, and what gives the blocks, job after job.
 
     Pairs of directions that fall into one bin are taken for one, at their weighted mean place.
     """
@@ -237,7 +244,7 @@ def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[P
 
 
 def merge_blocks(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Quadrature]) -> list[Block]:
-    """The blocks of each part as one, with all rows."""
+    """Merge the blocks of each quadrature into one with all rows."""
     own: list[list[Block]] = [[] for _ in parts]
     for (part, _), block in zip(jobs, blocks, strict=True):
         own[parts.index(part)].append(block)
