@@ -15,7 +15,7 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError
 from torchbrdf.pairs import Pairs
 
-QUANTITIES = ["cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo", "above"]
+QUANTITIES = ["cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo", "above_horizon"]
 
 quarter = st.floats(0, math.pi / 2)
 half_turn = st.floats(0, math.pi, exclude_max=True)
@@ -128,7 +128,7 @@ def test_limits_are_numbers(dtype: torch.dtype) -> None:
 def test_above_needs_both() -> None:
     cos = torch.tensor([0.5, 0.0, -0.5])
     pairs = Pairs.from_cosines(*(x.flatten() for x in torch.meshgrid(cos, cos, indexing="ij")))
-    assert pairs.above.tolist() == [True] + [False] * 8
+    assert pairs.above_horizon.tolist() == [True] + [False] * 8
 
 
 def test_directions_broadcast() -> None:
@@ -181,7 +181,7 @@ def test_to(warm: bool) -> None:
     assert (single.dtype, pairs.dtype) == (torch.float32, torch.float64)
     assert single.device == torch.device("cpu")
     for name, value in everything(single).items():
-        assert value.dtype == (torch.bool if name == "above" else torch.float32)
+        assert value.dtype == (torch.bool if name == "above_horizon" else torch.float32)
         torch.testing.assert_close(value, getattr(pairs, name).to(value.dtype), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(pairs.to("cpu").wi, pairs.wi, rtol=0, atol=0)
 
@@ -189,7 +189,7 @@ def test_to(warm: bool) -> None:
 def test_from_cosines_derives_what_it_can() -> None:
     full = random_pairs(50)
     pairs = Pairs.from_cosines(full.cos_i, full.cos_o, full.cos_h, full.cos_d)
-    for name in ("tan2_h", "theta_h", "theta_d", "above"):
+    for name in ("tan2_h", "theta_h", "theta_d", "above_horizon"):
         torch.testing.assert_close(getattr(pairs, name), getattr(full, name), rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(Pairs.from_cosines(full.cos_i, tan2_h=full.tan2_h).theta_h, full.theta_h)
 
@@ -229,11 +229,11 @@ def test_what_lobes_derive_is_kept_and_follows_a_selection() -> None:
         made.append(1)
         return pairs.cos_h.square()
 
-    first = pairs.keep("squared", squared)
-    assert pairs.keep("squared", squared) is first and len(made) == 1
+    first = pairs.cached("squared", squared)
+    assert pairs.cached("squared", squared) is first and len(made) == 1
     part = pairs.select(samples=slice(2, 5))
-    assert torch.equal(part.keep("squared", squared), first[:, 2:5]) and len(made) == 1
+    assert torch.equal(part.cached("squared", squared), first[:, 2:5]) and len(made) == 1
     moving = Pairs.from_directions(wi.requires_grad_(), wo)
-    value = moving.keep("squared", lambda: moving.cos_h.square())
+    value = moving.cached("squared", lambda: moving.cos_h.square())
     assert value.requires_grad
-    assert moving.keep("squared", lambda: moving.cos_h.square()) is not value  # a graph is not kept
+    assert moving.cached("squared", lambda: moving.cos_h.square()) is not value  # a graph is not kept

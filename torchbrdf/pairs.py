@@ -84,7 +84,7 @@ class Pairs:
             value = self._known[name] = self._derive(name)
         return value
 
-    def keep(self, name: str, make: Callable[[], Tensor]) -> Tensor:
+    def cached(self, name: str, make: Callable[[], Tensor]) -> Tensor:
         """A quantity `(..., N)` that does not depend on any parameter: made at first use, and kept under this name."""
         value = self._known.get(name)
         if value is None:
@@ -95,7 +95,7 @@ class Pairs:
 
     def _derive(self, name: str) -> Tensor:
         known = self._known
-        if name == "above":
+        if name == "above_horizon":
             return (self.cos_i > 0) & (self.cos_o > 0)
         if name == "tan2_h" and "cos_h" in known:
             square = self.cos_h.square()
@@ -164,9 +164,9 @@ class Pairs:
         return self._get("wo")
 
     @property
-    def above(self) -> Tensor:
+    def above_horizon(self) -> Tensor:
         """Whether both directions are above the horizon."""
-        return self._get("above")
+        return self._get("above_horizon")
 
     @property
     def shape(self) -> torch.Size:

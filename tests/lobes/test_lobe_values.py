@@ -169,7 +169,7 @@ def test_closed_form(name: str, data: st.DataObject) -> None:
     formula, strategies = EXACT[name]
     drawn = [data.draw(strategy) for strategy in strategies]
     parameters = []
-    for value, bounded in zip(drawn, LOBES[name].declared.values(), strict=True):
+    for value, bounded in zip(drawn, LOBES[name].parameter_specs.values(), strict=True):
         tensor = torch.tensor(value, dtype=torch.float64)
         parameters.append(tensor.reshape(*bounded.shape[:-1], 1).expand(bounded.shape))
     pairs = Pairs.from_directions(torch.from_numpy(wi)[None], torch.from_numpy(wo)[None])
@@ -198,7 +198,7 @@ def test_every_channel_has_its_own_albedo() -> None:
 def test_shifted_gamma_has_parameters_of_its_own_for_each_channel() -> None:
     """Each channel is the lobe of that channel's numbers, and of no other's."""
     pairs = Pairs.from_half_diff(*torch.tensor([[0.2], [1.1], [0.3]], dtype=torch.float64))
-    declared = LOBES["shifted_gamma"].declared.values()
+    declared = LOBES["shifted_gamma"].parameter_specs.values()
     rising = torch.linspace(0.9, 1.1, 3, dtype=torch.float64)
     values = [torch.tensor(bounded.start or 0.1, dtype=torch.float64) * rising for bounded in declared]
     found = shifted_gamma(pairs, *values)[0]
@@ -223,10 +223,10 @@ def test_table_1() -> None:
     declared = {
         (lobe, name): (b.start, b.lower, b.upper)
         for lobe in ("ward", "cook_torrance", "ashikhmin_shirley")
-        for name, b in LOBES[lobe].declared.items()
+        for name, b in LOBES[lobe].parameter_specs.items()
     }
     assert declared == table
-    albedo = LOBES["lambert"].declared["albedo"]
+    albedo = LOBES["lambert"].parameter_specs["albedo"]
     assert (albedo.lower, albedo.upper) == (0, 1)
 
 

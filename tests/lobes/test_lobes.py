@@ -10,7 +10,7 @@ from helpers.directions import hemisphere
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.lobes import LOBES, Bounded, Lambert, Lobe, Sum, Ward
+from torchbrdf.lobes import LOBES, BoundedParameter, Lambert, Lobe, Sum, Ward
 from torchbrdf.pairs import Pairs
 
 DTYPES = [torch.float32, torch.float64]
@@ -19,7 +19,7 @@ CORNERS = 2048
 every_lobe = pytest.mark.parametrize("name", LOBES)
 
 
-def middle(bounded: Bounded) -> float:
+def middle(bounded: BoundedParameter) -> float:
     """A value well inside the bounds, where nothing is negligible."""
     if bounded.log:
         return math.sqrt(bounded.lower * bounded.upper)
@@ -30,11 +30,11 @@ def values(name: str, *lead: int, seed: int = 0, dtype: torch.dtype = torch.floa
     """Different parameters of the shape (*lead, k), within a factor of 2 of the middle."""
     generator = torch.Generator().manual_seed(seed)
 
-    def around(bounded: Bounded) -> Tensor:
+    def around(bounded: BoundedParameter) -> Tensor:
         factor = 2 ** (torch.rand(*lead, *bounded.shape, generator=generator, dtype=torch.float64) - 0.5)
         return (middle(bounded) * factor).to(dtype)
 
-    return {key: around(bounded) for key, bounded in LOBES[name].declared.items()}
+    return {key: around(bounded) for key, bounded in LOBES[name].parameter_specs.items()}
 
 
 def made(name: str, *lead: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Lobe:
@@ -78,7 +78,7 @@ def test_any_leading_dimensions(name: str, lead: tuple[int, ...], shape: tuple[i
     full = torch.broadcast_shapes(lead, shape[:-1])
     assert result.shape == (*full, 7, 3)
     wi, wo = pairs.wi.expand(*full, 7, 3), pairs.wo.expand(*full, 7, 3)
-    declared = LOBES[name].declared
+    declared = LOBES[name].parameter_specs
     spread = {key: value.expand(*full, *declared[key].shape) for key, value in parameters.items()}
     for index in np.ndindex(*full):
         one = [value[index] for value in spread.values()]
@@ -129,7 +129,7 @@ def test_zero_below_the_horizon(name: str, dtype: torch.dtype) -> None:
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_finite_everywhere(name: str, dtype: torch.dtype) -> None:
     """Values and gradients at grazing directions and at every corner of the bounds, or at many of them."""
-    pairs, declared = extreme_pairs(dtype), LOBES[name].declared
+    pairs, declared = extreme_pairs(dtype), LOBES[name].parameter_specs
     choices = torch.tensor([[b.lower, b.start, middle(b), b.upper] for b in declared.values()], dtype=dtype)
     if 4 ** len(declared) <= CORNERS:
         corners = torch.cartesian_prod(*choices).reshape(-1, len(declared))
@@ -158,7 +158,7 @@ def test_float32_keeps_the_digits(name: str) -> None:
     near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 1e-3 * hemisphere(2000, seed=8, dtype=torch.float32)
     sharp = Pairs.from_directions(wi, near / near.norm(dim=-1, keepdim=True))
     for bound in ("lower", "start", "upper"):
-        lobe = LOBES[name](**{key: getattr(b, bound) or middle(b) for key, b in LOBES[name].declared.items()})
+        lobe = LOBES[name](**{key: getattr(b, bound) or middle(b) for key, b in LOBES[name].parameter_specs.items()})
         exact = copy.deepcopy(lobe).double()
         for case in (pairs, sharp):
             expected = exact(Pairs.from_directions(case.wi.double(), case.wo.double()))
@@ -203,7 +203,7 @@ def test_turning_both_directions_changes_nothing(name: str) -> None:
 @every_lobe
 def test_linear_parameters_are_linear(name: str) -> None:
     parameters, other, pairs = values(name), values(name, seed=9), some_pairs(50)
-    function, linear = LOBES[name].function, [key for key, b in LOBES[name].declared.items() if b.linear]
+    function, linear = LOBES[name].function, [key for key, b in LOBES[name].parameter_specs.items() if b.linear]
     assert linear
     for key in linear:
         mixed = function(pairs, **{**parameters, key: 2 * parameters[key] - 3 * other[key]})
@@ -214,8 +214,8 @@ def test_linear_parameters_are_linear(name: str) -> None:
 @every_lobe
 def test_declarations(name: str) -> None:
     lobe = LOBES[name]
-    assert lobe.declared
-    for key, bounded in lobe.declared.items():
+    assert lobe.parameter_specs
+    for key, bounded in lobe.parameter_specs.items():
         assert getattr(lobe, key) is bounded
         assert bounded.name == key
         assert bounded.lower <= bounded.start <= bounded.upper
@@ -231,7 +231,7 @@ def test_declarations(name: str) -> None:
 def test_pack_and_unpack(name: str, batch: int | None) -> None:
     lead = () if batch is None else (batch,)
     lobe = Sum(made(name, *lead), made(name, *lead, seed=4))
-    size = 2 * sum(bounded.size for bounded in LOBES[name].declared.values())
+    size = 2 * sum(bounded.size for bounded in LOBES[name].parameter_specs.values())
     packed = lobe.pack()
     assert packed.shape == (*lead, size)
     assert not packed.requires_grad
@@ -253,7 +253,7 @@ def test_bounds_are_in_the_order_of_pack(name: str) -> None:
     assert lower.shape == upper.shape == lobe.pack().shape
     assert lower.dtype == lobe.pack().dtype
     at_lower, at_upper = lobe.unpack(lower), lobe.unpack(upper)
-    for low, high, (_, bounded) in zip(at_lower.slots(), at_upper.slots(), lobe.slots(), strict=True):
+    for low, high, (_, bounded) in zip(at_lower.named_specs(), at_upper.named_specs(), lobe.named_specs(), strict=True):
         assert (getattr(low[0], bounded.name) == torch.tensor(bounded.lower)).all()
         assert (getattr(high[0], bounded.name) == torch.tensor(bounded.upper)).all()
 
@@ -264,7 +264,7 @@ def test_batched(name: str) -> None:
     batch = lobe.batched(4)
     assert batch(pairs).shape[-3] in (1, 4)
     torch.testing.assert_close(batch(pairs), lobe(pairs).expand(batch(pairs).shape), rtol=1e-12, atol=0)
-    for key, bounded in LOBES[name].declared.items():
+    for key, bounded in LOBES[name].parameter_specs.items():
         assert getattr(batch, key).shape == (4, *bounded.shape)
         assert getattr(lobe, key).shape == bounded.shape
     with torch.no_grad():
@@ -304,10 +304,10 @@ def test_compiles(name: str) -> None:
 @every_lobe
 def test_unknown_and_misshapen_parameters_are_refused(name: str) -> None:
     lobe = LOBES[name]
-    known = ", ".join(lobe.declared)
+    known = ", ".join(lobe.parameter_specs)
     with pytest.raises(ShapeError, match=rf"^{lobe.__name__}: unknown parameter 'shininess'; expected {known}$"):
         lobe(shininess=1.0)
-    key = next(iter(lobe.declared))
+    key = next(iter(lobe.parameter_specs))
     with pytest.raises(ShapeError, match=rf"^{lobe.__name__}\.{key}: expected \(\.\.\., .*3\), found \(2,\)$"):
         lobe(**{key: torch.ones(2)})
 
@@ -331,9 +331,9 @@ def test_numbers_and_lists_as_parameters() -> None:
 def test_sum() -> None:
     pairs, lobes = some_pairs(20), [made("lambert"), made("ward"), made("cook_torrance")]
     total = Sum(Sum(lobes[0], lobes[1]), lobes[2])
-    assert total.parts() == lobes
+    assert total.components() == lobes
     torch.testing.assert_close(total(pairs), lobes[0](pairs) + lobes[1](pairs) + lobes[2](pairs))
-    assert [bounded.name for _, bounded in total.slots()] == [
+    assert [bounded.name for _, bounded in total.named_specs()] == [
         *["albedo", "specular", "roughness"],
         *["specular", "roughness", "f0"],
     ]
@@ -354,7 +354,7 @@ def test_bounds_the_wrong_way_round_are_refused(bad: tuple[float, float, float])
     with pytest.raises((ShapeError, RuntimeError)) as raised:
 
         class Odd(Lobe):
-            width = Bounded(*bad, doc="")
+            width = BoundedParameter(*bad, doc="")
 
     error = raised.value if isinstance(raised.value, ShapeError) else raised.value.__cause__
     assert isinstance(error, ShapeError) and "Odd.width: expected lower <= start <= upper" in str(error)

@@ -5,8 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.shape import colored, decay, log_secant, v_groove
+from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_secant, v_groove
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
 from torchbrdf.pairs import Pairs
 
 
@@ -20,7 +20,7 @@ def abc(pairs: Pairs, amplitude: Tensor, sharpness: Tensor, exponent: Tensor, io
     Surfaces, 2012, doi:10.1145/2077341.2077350, the microfacet model; with the 1/pi of its supplement's fits, which
     the paper's equation does not have (github.com/bsdfbenchmark/bbm, include/bsdfmodel/lowmicrofacet.h).
     """
-    return colored(pairs, _facets(pairs, sharpness, exponent) * dielectric(ior, pairs.cos_d), amplitude)
+    return apply_albedo(pairs, _facets(pairs, sharpness, exponent) * dielectric(ior, pairs.cos_d), amplitude)
 
 
 def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
@@ -43,31 +43,31 @@ def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return g, less / total, (cos_d * total - 1) / (cos_d * less + 1)
 
 
-def _drop(pairs: Pairs) -> Tensor:
+def one_minus_cos_h(pairs: Pairs) -> Tensor:
     """1 - cos_h, with all digits where cos_h is near 1."""
-    return pairs.keep("drop", lambda: -torch.expm1(-0.5 * log_secant(pairs)))
+    return pairs.cached("one_minus_cos_h", lambda: -torch.expm1(-0.5 * log_secant(pairs)))
 
 
 def _facets(pairs: Pairs, sharpness: Tensor, exponent: Tensor) -> Tensor:
     """S G / (pi cos_i cos_o)."""
-    return decay(-exponent * torch.log1p(sharpness * _drop(pairs))) * (v_groove(pairs) / math.pi)
+    return clamped_exp(-exponent * torch.log1p(sharpness * one_minus_cos_h(pairs))) * (v_groove(pairs) / math.pi)
 
 
 @LOBES.register("abc")
-class Abc(Lobe):
+class LowABC(Lobe):
     """A microfacet lobe with the ABC distribution of Low et al. 2012, whose tails are those of many measurements."""
 
-    amplitude = color(start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel")
-    sharpness = Bounded(start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe")
-    exponent = Bounded(start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls")
-    ior = Bounded(start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real")
+    amplitude = albedo(start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel")
+    sharpness = BoundedParameter(start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe")
+    exponent = BoundedParameter(start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls")
+    ior = BoundedParameter(start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real")
     function = staticmethod(abc)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dB = -shape C (1 - cos_h) / (1 + B (1 - cos_h)), d/dC = -shape log(1 + B (1 - cos_h)), and d/d(ior)."""
         sharpness, exponent, ior = scalars
-        drop, cos_d = _drop(pairs), pairs.cos_d
+        drop, cos_d = one_minus_cos_h(pairs), pairs.cos_d
         facets = _facets(pairs, sharpness, exponent)
         g, a, b = _fresnel_terms(ior, cos_d)
         shape = facets * (0.5 * a.square() * (1 + b.square()))

@@ -22,7 +22,7 @@ _FORWARD = threading.Lock()
 
 
 @dataclass
-class Bounded:
+class BoundedParameter:
     """A parameter of a lobe, declared once: where a fit starts, its bounds, and what it means.
 
     `shape` is (3,) for a colour, (1,) for a scalar. `linear` says that the lobe's value is proportional to it
@@ -48,10 +48,10 @@ class Bounded:
             raise ShapeError(f"{owner.__name__}.{name}: expected {above}lower <= start <= upper, found {found}")
 
     @overload
-    def __get__(self, lobe: None, owner: type) -> "Bounded": ...
+    def __get__(self, lobe: None, owner: type) -> "BoundedParameter": ...
     @overload
     def __get__(self, lobe: "Lobe", owner: type) -> Tensor: ...
-    def __get__(self, lobe: "Lobe | None", owner: type) -> "Bounded | Tensor":
+    def __get__(self, lobe: "Lobe | None", owner: type) -> "BoundedParameter | Tensor":
         if lobe is None:
             return self
         try:
@@ -65,41 +65,41 @@ class Bounded:
         return math.prod(self.shape)
 
 
-def color(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, doc: str) -> Bounded:
+def albedo(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, doc: str) -> BoundedParameter:
     """An albedo: linear, from 0 to 1, one value a channel."""
-    return Bounded(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
+    return BoundedParameter(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
 
 
 class Lobe(nn.Module):
     """A BRDF or a part of one: `lobe(pairs)` gives values in 1/sr, `(..., N, 3)`, without the cosine.
 
-    A subclass declares its parameters as `Bounded` class attributes and names its functional form:
+    A subclass declares its parameters as `BoundedParameter` class attributes and names its functional form:
 
         @LOBES.register("ward")
         class Ward(Lobe):
-            specular = color(start=0.5, doc="...")
-            roughness = Bounded(start=0.01, lower=0.001, upper=0.5, doc="...")
+            specular = albedo(start=0.5, doc="...")
+            roughness = BoundedParameter(start=0.01, lower=0.001, upper=0.5, doc="...")
             function = staticmethod(ward)
 
     Parameters have the shape `(k,)`, or `(M, k)` after `batched(M)`. A value at construction may be a number, for
     every channel, or anything that broadcasts to the declared shape behind leading dimensions.
     """
 
-    declared: ClassVar[dict[str, Bounded]] = {}
+    parameter_specs: ClassVar[dict[str, BoundedParameter]] = {}
     function: ClassVar[Callable[..., Tensor]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Bounded)}
-        cls.declared = {**cls.declared, **own}
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, BoundedParameter)}
+        cls.parameter_specs = {**cls.parameter_specs, **own}
 
     def __init__(self, *, dtype: torch.dtype | None = None, **values: Tensor | float | list[float]) -> None:
         super().__init__()
-        extra = sorted(set(values) - set(self.declared))
+        extra = sorted(set(values) - set(self.parameter_specs))
         if extra:
-            known = ", ".join(self.declared)
+            known = ", ".join(self.parameter_specs)
             raise ShapeError(f"{type(self).__name__}: unknown parameter {extra[0]!r}; expected {known}")
-        for name, bounded in self.declared.items():
+        for name, bounded in self.parameter_specs.items():
             value = torch.as_tensor(values.get(name, bounded.start))
             value = value.to(dtype or (value.dtype if value.is_floating_point() else torch.get_default_dtype()))
             try:
@@ -114,24 +114,24 @@ class Lobe(nn.Module):
 
     def forward(self, pairs: Pairs) -> Tensor:
         """Values on pairs, `(..., N, 3)`."""
-        return type(self).function(pairs, *(getattr(self, name) for name in self.declared))
+        return type(self).function(pairs, *(getattr(self, name) for name in self.parameter_specs))
 
     @classmethod
-    def color(cls) -> "Bounded | None":
+    def albedo_spec(cls) -> "BoundedParameter | None":
         """The linear colour of a lobe that is one colour times a scalar function of pairs and scalars, else None."""
-        colors = [bounded for bounded in cls.declared.values() if bounded.linear and bounded.shape == (3,)]
-        rest = [bounded for bounded in cls.declared.values() if bounded not in colors]
+        colors = [bounded for bounded in cls.parameter_specs.values() if bounded.linear and bounded.shape == (3,)]
+        rest = [bounded for bounded in cls.parameter_specs.values() if bounded not in colors]
         return colors[0] if len(colors) == 1 and all(bounded.size == 1 for bounded in rest) else None
 
     @classmethod
-    def scalars(cls) -> list["Bounded"]:
+    def scalars(cls) -> list["BoundedParameter"]:
         """The other parameters of such a lobe."""
-        return [bounded for bounded in cls.declared.values() if bounded is not cls.color()]
+        return [bounded for bounded in cls.parameter_specs.values() if bounded is not cls.albedo_spec()]
 
     @classmethod
-    def white(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
+    def unit_response(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
         """The scalar function of such a lobe, its values where its colour is 1, `(..., N)`."""
-        color = cls.color()
+        color = cls.albedo_spec()
         if color is None:
             raise ShapeError(f"{cls.__name__} is no colour times a scalar function")
         one = torch.ones_like(scalars[0]) if scalars else pairs.cos_i.new_ones(1)
@@ -139,8 +139,8 @@ class Lobe(nn.Module):
         return cls.function(pairs, **{color.name: one}, **named)[..., 0]
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
-        """`white`, and its derivative by each of `scalars`, `(..., N)` all.
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """`unit_response`, and its derivative by each of `scalars`, `(..., N)` all.
 
         Where both directions are above the horizon. By forward differentiation, unless a lobe knows a shorter way.
         """
@@ -149,20 +149,20 @@ class Lobe(nn.Module):
             with _FORWARD, forward_ad.dual_level():
                 dual = forward_ad.make_dual(moved, torch.ones_like(moved))
                 own = [dual if i == k else other for i, other in enumerate(scalars)]
-                value, tangent = forward_ad.unpack_dual(cls.white(pairs, *own))
+                value, tangent = forward_ad.unpack_dual(cls.unit_response(pairs, *own))
             found = found or [value]
             found.append(torch.zeros_like(value) if tangent is None else tangent)
-        return found or [cls.white(pairs)]
+        return found or [cls.unit_response(pairs)]
 
-    def parts(self) -> list["Lobe"]:
+    def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""
         return [self]
 
     def batched(self, materials: int) -> Self:
         """A copy with its own parameters for each of M materials, `(M, k)`."""
         made = copy.deepcopy(self)
-        for part in made.parts():
-            for name, bounded in part.declared.items():
+        for part in made.components():
+            for name, bounded in part.parameter_specs.items():
                 value = getattr(part, name).detach()
                 if value.dim() > len(bounded.shape) and value.shape[0] not in (1, materials):
                     raise ShapeError(f"{type(part).__name__}.{name}: {value.shape[0]} materials, not {materials}")
@@ -170,32 +170,32 @@ class Lobe(nn.Module):
                 setattr(part, name, nn.Parameter(value))
         return made
 
-    def slots(self) -> list[tuple["Lobe", Bounded]]:
+    def named_specs(self) -> list[tuple["Lobe", BoundedParameter]]:
         """Every parameter of every part, in the order of `pack`."""
-        return [(part, bounded) for part in self.parts() for bounded in part.declared.values()]
+        return [(part, bounded) for part in self.components() for bounded in part.parameter_specs.values()]
 
     def pack(self) -> Tensor:
         """All parameters beside each other, `(M, P)`, detached; `(P,)` if not batched."""
         values = [
             getattr(part, bounded.name).detach().flatten(start_dim=-len(bounded.shape))
-            for part, bounded in self.slots()
+            for part, bounded in self.named_specs()
         ]
         return torch.cat(values, -1)
 
     def unpack(self, packed: Tensor) -> Self:
         """A copy with the parameters of `packed`, as `pack` orders them, `(..., P)`."""
-        sizes = [bounded.size for _, bounded in self.slots()]
+        sizes = [bounded.size for _, bounded in self.named_specs()]
         if packed.shape[-1:] != (sum(sizes),):
             raise ShapeError(f"unpack: expected (..., {sum(sizes)}), found {(*packed.shape,)}")
         made = copy.deepcopy(self)
-        for (part, bounded), value in zip(made.slots(), packed.detach().split(sizes, -1), strict=True):
+        for (part, bounded), value in zip(made.named_specs(), packed.detach().split(sizes, -1), strict=True):
             setattr(part, bounded.name, nn.Parameter(value.reshape(*value.shape[:-1], *bounded.shape).clone()))
         return made
 
     @property
     def bounds(self) -> tuple[Tensor, Tensor]:
         """Lower and upper bounds, `(P,)` each, in the order of `pack`."""
-        lower = [torch.full((bounded.size,), bounded.lower) for _, bounded in self.slots()]
-        upper = [torch.full((bounded.size,), bounded.upper) for _, bounded in self.slots()]
+        lower = [torch.full((bounded.size,), bounded.lower) for _, bounded in self.named_specs()]
+        upper = [torch.full((bounded.size,), bounded.upper) for _, bounded in self.named_specs()]
         like = self.pack()
         return torch.cat(lower).to(like), torch.cat(upper).to(like)

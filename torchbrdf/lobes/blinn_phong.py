@@ -5,8 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.shape import colored, decay, log_secant
+from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_secant
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
 from torchbrdf.pairs import Pairs
 
 
@@ -19,24 +19,24 @@ def blinn_phong(pairs: Pairs, specular: Tensor, exponent: Tensor) -> Tensor:
     the factor is that of A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005,
     doi:10.2312/EGWR/EGSR05/117-126.
     """
-    return colored(pairs, _power(pairs, exponent), specular)
+    return apply_albedo(pairs, _power(pairs, exponent), specular)
 
 
 def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
     # cos_h^n by way of tan2_h: at n = 100000 a float32 cos_h near 1 has too few digits.
-    return decay(log_secant(pairs) * (-0.5 * exponent)) * ((exponent + 2) / (2 * math.pi))
+    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * ((exponent + 2) / (2 * math.pi))
 
 
 @LOBES.register("blinn_phong")
 class BlinnPhong(Lobe):
     """Blinn's lobe with the factor of Ngan et al.; the bounds hold all of their fits."""
 
-    specular = color(start=0.1, doc="specular albedo, per channel")
-    exponent = Bounded(start=100.0, lower=0.001, upper=200_000.0, log=True, doc="n, the sharpness of the lobe")
+    specular = albedo(start=0.1, doc="specular albedo, per channel")
+    exponent = BoundedParameter(start=100.0, lower=0.001, upper=200_000.0, log=True, doc="n, the sharpness of the lobe")
     function = staticmethod(blinn_phong)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dn = shape (1 / (n + 2) + log(cos_h))."""
         (exponent,) = scalars
         shape = _power(pairs, exponent)

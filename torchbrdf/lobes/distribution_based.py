@@ -5,9 +5,9 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe
+from torchbrdf.lobes._microfacet import v_groove
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.fresnel import fresnel
-from torchbrdf.lobes.shape import v_groove
 from torchbrdf.pairs import Pairs
 
 NODES = 90
@@ -30,7 +30,7 @@ def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor
     share = (position - low)[..., None]
     table = _at(distribution, low) * (1 - share) + _at(distribution, low + 1) * share
     geometry = v_groove(pairs) / 4 * fresnel(f0, pairs)
-    return table * torch.where(pairs.above, geometry, 0)[..., None]
+    return table * torch.where(pairs.above_horizon, geometry, 0)[..., None]
 
 
 def _at(distribution: Tensor, index: Tensor) -> Tensor:
@@ -46,7 +46,7 @@ def _at(distribution: Tensor, index: Tensor) -> Tensor:
 class DistributionBased(Lobe):
     """A microfacet lobe with a tabulated distribution for each channel, Fresnel and shadowing."""
 
-    distribution = Bounded(
+    distribution = BoundedParameter(
         start=0.01,
         lower=1e-6,
         upper=1e6,
@@ -55,5 +55,5 @@ class DistributionBased(Lobe):
         log=True,
         doc="D at MERL's theta_h, per channel",
     )
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    f0 = BoundedParameter(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
     function = staticmethod(distribution_based)

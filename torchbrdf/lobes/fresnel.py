@@ -16,12 +16,12 @@ def schlick(f0: Tensor, cos_d: Tensor) -> Tensor:
 
 def fresnel(f0: Tensor, pairs: Pairs) -> Tensor:
     """`schlick` on pairs, which keep the fifth power."""
-    return _blend(f0, grazing(pairs))
+    return _blend(f0, schlick_weight(pairs))
 
 
-def grazing(pairs: Pairs) -> Tensor:
+def schlick_weight(pairs: Pairs) -> Tensor:
     """(1 - cos_d)^5, `(..., N)`."""
-    return pairs.keep("grazing", lambda: _fifth(pairs.cos_d))
+    return pairs.cached("schlick_weight", lambda: _fifth(pairs.cos_d))
 
 
 def _fifth(cos_d: Tensor) -> Tensor:

@@ -5,8 +5,9 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Lobe, color
-from torchbrdf.lobes.shape import colored
+from torchbrdf.lobes import base
+from torchbrdf.lobes._microfacet import apply_albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.pairs import Pairs
 
 
@@ -16,17 +17,17 @@ def lambert(pairs: Pairs, albedo: Tensor) -> Tensor:
     albedo: `(..., 3)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
     Source: the diffuse term of the paper's eq. 11.
     """
-    return colored(pairs, torch.full_like(pairs.cos_i, 1 / math.pi), albedo)
+    return apply_albedo(pairs, torch.full_like(pairs.cos_i, 1 / math.pi), albedo)
 
 
 @LOBES.register("lambert")
 class Lambert(Lobe):
     """Diffuse reflection: albedo / pi."""
 
-    albedo = color(start=0.5, doc="diffuse albedo, per channel")
+    albedo = base.albedo(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """1 / pi."""
-        return [pairs.keep("lambert", lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]
+        return [pairs.cached("lambert", lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.sum import Sum
 
@@ -26,10 +26,10 @@ def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> S
 
 def model_name(model: Lobe) -> tuple[str, int]:
     """The registered name of a model's specular lobes, and how many it has: what `make_model` made it from."""
-    first, *rest = model.parts()
+    first, *rest = model.components()
     kinds = {type(part) for part in rest}
     if not isinstance(first, Lambert) or len(kinds) != 1:
-        shown = " + ".join(type(part).__name__ for part in model.parts())
+        shown = " + ".join(type(part).__name__ for part in model.components())
         raise UsageError(f"model: expected Lambert plus lobes of one kind, found {shown}")
     kind = kinds.pop()
     return next(name for name, lobe in LOBES.items() if lobe is kind), len(rest)
@@ -37,9 +37,9 @@ def model_name(model: Lobe) -> tuple[str, int]:
 
 def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
     """One material's parameters as plain lists: `diffuse`, and for every other name one value a lobe."""
-    first, *rest = model.parts()
-    found: dict[str, Any] = {DIFFUSE: _plain(first, first.declared["albedo"], material)}
-    for name, bounded in type(rest[0]).declared.items():
+    first, *rest = model.components()
+    found: dict[str, Any] = {DIFFUSE: _plain(first, first.parameter_specs["albedo"], material)}
+    for name, bounded in type(rest[0]).parameter_specs.items():
         found[name] = [_plain(part, bounded, material) for part in rest]
     return found
 
@@ -47,13 +47,15 @@ def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
 def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | None = None) -> Sum:
     """The model that `parameters` describes, not batched. Values outside their bounds are kept as they are."""
     kind = LOBES[name]
-    wanted = {DIFFUSE, *kind.declared}
+    wanted = {DIFFUSE, *kind.parameter_specs}
     if set(values) != wanted:
         raise DataError(
             f"parameters of {name}: expected {', '.join(sorted(wanted))}, found {', '.join(sorted(values))}"
         )
     try:
-        lists = {key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.declared}
+        lists = {
+            key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.parameter_specs
+        }
         diffuse = torch.tensor(values[DIFFUSE], dtype=torch.float64)
     except (TypeError, ValueError) as error:
         raise DataError(f"parameters of {name}: expected numbers, found something else ({error})") from None
@@ -67,7 +69,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     return Sum(Lambert(albedo=diffuse, dtype=dtype), *lobes)
 
 
-def _plain(part: Lobe, bounded: Bounded, material: int) -> Any:
+def _plain(part: Lobe, bounded: BoundedParameter, material: int) -> Any:
     value: Tensor = getattr(part, bounded.name).detach()
     if value.dim() > len(bounded.shape):
         value = value[material]

@@ -5,9 +5,9 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import grazing
-from torchbrdf.lobes.shape import decay, log_secant, tangent
+from torchbrdf.lobes._microfacet import clamped_exp, log_secant, tangent
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.pairs import Pairs
 
 # Below this a product of cosines no longer changes a quotient.
@@ -48,15 +48,15 @@ def shifted_gamma(
     shadow, reach, onset = shadow[..., None, :], reach[..., None, :], onset[..., None, :]
     spread = alpha + tangent(pairs)[..., None] / alpha
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
-    facets = decay(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
-    fresnel = (f0 + (1 - f0) * grazing(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
+    facets = clamped_exp(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
+    fresnel = (f0 + (1 - f0) * schlick_weight(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
     lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
     for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):
-        theta = pairs.keep(name, lambda cosine=cosine: _angle(cosine))[..., None]  # type: ignore[misc]
+        theta = pairs.cached(name, lambda cosine=cosine: _angle(cosine))[..., None]  # type: ignore[misc]
         # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
         power = steepness * ((theta - onset).clamp_min(1e-30) / reach).log()
         facets = facets * (1 - shadow * torch.expm1(power.clamp_max(COMPLETE).exp())).clamp_min(0)
-    shape = facets * fresnel * torch.where(pairs.above, lit, 0)[..., None]
+    shape = facets * fresnel * torch.where(pairs.above_horizon, lit, 0)[..., None]
     return shape * (specular * normalization)[..., None, :]
 
 
@@ -73,14 +73,22 @@ class ShiftedGamma(Lobe):
     together. The value depends on the product of `specular` and `normalization` only, and fits move both.
     """
 
-    specular = color(start=0.1, upper=5.0, doc="specular albedo, per channel")
-    alpha = Bounded(start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared")
-    p = Bounded(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
-    normalization = Bounded(start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution")
-    f0 = Bounded(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
-    f1 = Bounded(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
-    shadow = Bounded(start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing")
-    reach = Bounded(start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians")
-    steepness = Bounded(start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing")
-    onset = Bounded(start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians")
+    specular = albedo(start=0.1, upper=5.0, doc="specular albedo, per channel")
+    alpha = BoundedParameter(start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared")
+    p = BoundedParameter(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
+    normalization = BoundedParameter(
+        start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution"
+    )
+    f0 = BoundedParameter(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
+    f1 = BoundedParameter(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
+    shadow = BoundedParameter(
+        start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing"
+    )
+    reach = BoundedParameter(
+        start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians"
+    )
+    steepness = BoundedParameter(start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing")
+    onset = BoundedParameter(
+        start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians"
+    )
     function = staticmethod(shifted_gamma)

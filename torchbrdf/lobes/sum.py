@@ -14,9 +14,9 @@ class Sum(Lobe):
         super().__init__()
         if not lobes:
             raise ShapeError("Sum: expected at least one lobe, found none")
-        self.lobes = nn.ModuleList(part for lobe in lobes for part in lobe.parts())
+        self.lobes = nn.ModuleList(part for lobe in lobes for part in lobe.components())
 
-    def parts(self) -> list[Lobe]:
+    def components(self) -> list[Lobe]:
         """The lobes that are added, without nesting."""
         return list(self.lobes)  # type: ignore[arg-type]
 

@@ -73,7 +73,7 @@ class Samples(Source):
             raise ShapeError(f"Measured: expected values (M, {len(pairs)}, 3), found {(*values.shape,)}")
         if names is not None and len(names) != len(values):
             raise ShapeError(f"Measured: {len(names)} names for {len(values)} materials")
-        valid = values.isfinite().all(-1, keepdim=True) & pairs.above[..., None]
+        valid = values.isfinite().all(-1, keepdim=True) & pairs.above_horizon[..., None]
         given = torch.ones_like(values[..., :1]) if weight is None else weight.to(values).expand(*values.shape[:2], 1)
         self.weight = torch.where(valid, given, 0)
         self.values = torch.where(self.weight > 0, values, 0)

@@ -13,22 +13,22 @@ COSINE_FLOOR = 1e-10
 TAN2_CEILING = 1e18
 
 
-def floored(cosine: Tensor) -> Tensor:
+def clamp_cosine(cosine: Tensor) -> Tensor:
     """A cosine that may be divided by."""
     return cosine.clamp_min(COSINE_FLOOR)
 
 
 def tangent(pairs: Pairs) -> Tensor:
     """tan2_h, finite at half vectors on the horizon."""
-    return pairs.keep("tangent", lambda: pairs.tan2_h.clamp_max(TAN2_CEILING))
+    return pairs.cached("tangent", lambda: pairs.tan2_h.clamp_max(TAN2_CEILING))
 
 
 def log_secant(pairs: Pairs) -> Tensor:
     """log(1 + tan2_h) = -2 log(cos_h), with all digits near 0."""
-    return pairs.keep("log_secant", lambda: torch.log1p(tangent(pairs)))
+    return pairs.cached("log_secant", lambda: torch.log1p(tangent(pairs)))
 
 
-def decay(exponent: Tensor) -> Tensor:
+def clamped_exp(exponent: Tensor) -> Tensor:
     """exp of an exponent of any size below 0, but at least about 1e-35 (float32) or 1e-305.
 
     Nothing that small is ever seen; but where exp underflows it takes ten times as long, and a sharp lobe does almost
@@ -37,7 +37,7 @@ def decay(exponent: Tensor) -> Tensor:
     return exponent.clamp_min(math.log(torch.finfo(exponent.dtype).tiny) + 7).exp()
 
 
-def width_slope(pairs: Pairs, width: Tensor) -> Tensor:
+def log_beckmann_derivative(pairs: Pairs, width: Tensor) -> Tensor:
     """Derivative of log(exp(-tan2_h / w^2) / w^2) by w: 2 tan2_h / w^3 - 2 / w."""
     return torch.add(-2 / width, tangent(pairs) * (2 / width**3))
 
@@ -50,13 +50,13 @@ def v_groove(pairs: Pairs) -> Tensor:
     """
 
     def make() -> Tensor:
-        cos_i, cos_o = floored(pairs.cos_i), floored(pairs.cos_o)
-        masked = 2 * floored(pairs.cos_h) / (floored(pairs.cos_d) * torch.maximum(cos_i, cos_o))
+        cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
+        masked = 2 * clamp_cosine(pairs.cos_h) / (clamp_cosine(pairs.cos_d) * torch.maximum(cos_i, cos_o))
         return torch.minimum(1 / (cos_i * cos_o), masked)
 
-    return pairs.keep("v_groove", make)
+    return pairs.cached("v_groove", make)
 
 
-def colored(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:
+def apply_albedo(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:
     """albedo `(..., 3)` times a scalar shape `(..., N)`, zero below the horizon: `(..., N, 3)`."""
-    return torch.where(pairs.above, shape, 0)[..., None] * albedo[..., None, :]
+    return torch.where(pairs.above_horizon, shape, 0)[..., None] * albedo[..., None, :]
