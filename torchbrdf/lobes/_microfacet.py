@@ -20,12 +20,12 @@ def clamp_cosine(cosine: Tensor) -> Tensor:
 
 def tangent(pairs: Pairs) -> Tensor:
     """tan2_h, finite at half vectors on the horizon."""
-    return pairs.cached("tangent", lambda: pairs.tan2_h.clamp_max(TAN2_CEILING))
+    return pairs.cached(tangent, lambda: pairs.tan2_h.clamp_max(TAN2_CEILING))
 
 
 def log_secant(pairs: Pairs) -> Tensor:
     """log(1 + tan2_h) = -2 log(cos_h), with all digits near 0."""
-    return pairs.cached("log_secant", lambda: torch.log1p(tangent(pairs)))
+    return pairs.cached(log_secant, lambda: torch.log1p(tangent(pairs)))
 
 
 def clamped_exp(exponent: Tensor) -> Tensor:
@@ -54,7 +54,7 @@ def v_groove(pairs: Pairs) -> Tensor:
         masked = 2 * clamp_cosine(pairs.cos_h) / (clamp_cosine(pairs.cos_d) * torch.maximum(cos_i, cos_o))
         return torch.minimum(1 / (cos_i * cos_o), masked)
 
-    return pairs.cached("v_groove", make)
+    return pairs.cached(v_groove, make)
 
 
 def apply_albedo(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:

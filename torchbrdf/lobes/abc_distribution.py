@@ -45,7 +45,7 @@ def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def one_minus_cos_h(pairs: Pairs) -> Tensor:
     """1 - cos_h, with all digits where cos_h is near 1."""
-    return pairs.cached("one_minus_cos_h", lambda: -torch.expm1(-0.5 * log_secant(pairs)))
+    return pairs.cached(one_minus_cos_h, lambda: -torch.expm1(-0.5 * log_secant(pairs)))
 
 
 def _facets(pairs: Pairs, sharpness: Tensor, exponent: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
         return 1 / (clamp_cosine(pairs.cos_d) * torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
 
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
-    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached("ashikhmin", geometry) * (exponent + 1))
+    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached(_power, geometry) * (exponent + 1))
 
 
 @LOBES.register("ashikhmin_shirley")

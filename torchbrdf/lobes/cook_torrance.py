@@ -34,7 +34,7 @@ def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
     """D G / (pi cos_i cos_o)."""
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
     inverse = roughness.square().reciprocal()
-    exponent = torch.addcmul(pairs.cached("beckmann", lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
+    exponent = torch.addcmul(pairs.cached(_facets, lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
     return clamped_exp(exponent) * (v_groove(pairs) * (inverse / math.pi))
 
 

@@ -21,7 +21,7 @@ def fresnel(f0: Tensor, pairs: Pairs) -> Tensor:
 
 def schlick_weight(pairs: Pairs) -> Tensor:
     """(1 - cos_d)^5, `(..., N)`."""
-    return pairs.cached("schlick_weight", lambda: _fifth(pairs.cos_d))
+    return pairs.cached(schlick_weight, lambda: _fifth(pairs.cos_d))
 
 
 def _fifth(cos_d: Tensor) -> Tensor:

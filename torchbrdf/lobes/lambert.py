@@ -30,4 +30,4 @@ class Lambert(Lobe):
     @classmethod
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """1 / pi."""
-        return [pairs.cached("lambert", lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]
+        return [pairs.cached(lambert, lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]

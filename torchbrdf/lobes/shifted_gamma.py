@@ -1,6 +1,7 @@
 """The microfacet lobe with the shifted gamma distribution (SGD)."""
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -52,7 +53,7 @@ def shifted_gamma(
     fresnel = (f0 + (1 - f0) * schlick_weight(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
     lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
     for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):
-        theta = pairs.cached(name, lambda cosine=cosine: _angle(cosine))[..., None]  # type: ignore[misc]
+        theta = pairs.cached(_angle, partial(_angle, cosine), name)[..., None]
         # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
         power = steepness * ((theta - onset).clamp_min(1e-30) / reach).log()
         facets = facets * (1 - shadow * torch.expm1(power.clamp_max(COMPLETE).exp())).clamp_min(0)

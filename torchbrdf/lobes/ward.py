@@ -25,7 +25,7 @@ def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
         return torch.rsqrt(clamp_cosine(pairs.cos_i)) * torch.rsqrt(clamp_cosine(pairs.cos_o)) / (4 * math.pi)
 
     inverse = roughness.square().reciprocal()
-    return clamped_exp(tangent(pairs) * -inverse) * (pairs.cached("ward", geometry) * inverse)
+    return clamped_exp(tangent(pairs) * -inverse) * (pairs.cached(_shape, geometry) * inverse)
 
 
 @LOBES.register("ward")

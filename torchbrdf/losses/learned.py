@@ -105,7 +105,7 @@ def cosines(pairs: Pairs | None) -> Tensor:
     """cos_i cos_o as a column `(..., N, 1)`, 0 below the horizon."""
     if pairs is None:
         raise ShapeError("pairs are needed for cos_i and cos_o")
-    return pairs.cached("cosines", lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
+    return pairs.cached(cosines, lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
 
 
 def encode(values: Tensor, pairs: Pairs | None) -> Tensor:

@@ -77,7 +77,7 @@ class Samples(Source):
         given = torch.ones_like(values[..., :1]) if weight is None else weight.to(values).expand(*values.shape[:2], 1)
         self.weight = torch.where(valid, given, 0)
         self.values = torch.where(self.weight > 0, values, 0)
-        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs._map(lambda value, _: value[None])
+        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs.unsqueeze()
         self.names = list(names) if names is not None else [f"material{k}" for k in range(len(values))]
         self.paths = []
 
@@ -222,7 +222,7 @@ class Measured:
         if interpolation not in get_args(Interpolation):
             raise unknown("interpolation", interpolation, get_args(Interpolation))
         if len(pairs.shape) == 1:
-            pairs = pairs._map(lambda value, _: value[None])
+            pairs = pairs.unsqueeze()
         if len(pairs.shape) != 2 or pairs.shape[0] not in (1, len(self)):
             raise ShapeError(f"at: expected pairs ({len(self)} or 1, N), found {(*pairs.shape,)}")
         return self.source.at(pairs, self.materials, interpolation)
