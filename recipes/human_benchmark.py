@@ -56,7 +56,7 @@ class HumanBenchmark(Recipe):
     opinions: str = field(default="lavoue2021_distances_train.csv", metadata={"help": "a file in `human`"})
     losses: tuple[str, ...] = field(default=(), metadata={"help": "losses to score; none: all that are registered"})
     images: bool = field(default=False, metadata={"help": "also score pictures of a sphere"})
-    differences: tuple[str, ...] = field(default=("delta_e",), metadata={"help": "image differences of the pictures"})
+    differences: tuple[str, ...] = field(default=("delta_e76",), metadata={"help": "image differences of the pictures"})
     size: int = field(default=64, metadata={"help": "pixels of a side of the pictures"})
     samples: int = field(default=6000, metadata={"help": "pairs, uniform in theta_i, theta_o and phi"})
     max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})

@@ -29,6 +29,7 @@ FLOORS = {
     "images": 1,
     "pairs": 0,
     "registry": 0,
+    "_lazy": 0,
     "errors": 0,
     "files": 0,
     "parallel": 0,

@@ -18,7 +18,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
 from torchbrdf.registry import Registry, unknown
 
-RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes")
+RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes")
 
 
 @dataclass(frozen=True)

@@ -71,10 +71,10 @@ def test_pictures_are_a_loss(paint, tmp_path, capsys, monkeypatch):
         "--loss",
         "rendered",
     ]
-    arguments += ["--difference", "delta_e", "--size", "24", "--lights", "64", "--out", str(out)]
+    arguments += ["--difference", "delta_e76", "--size", "24", "--lights", "64", "--out", str(out)]
     assert main(arguments) == 0
     (record,) = json.loads((out / "fits.json").read_text())
-    assert record["loss"] == "rendered_delta_e" and record["error"] < 0.05
+    assert record["loss"] == "rendered_delta_e76" and record["error"] < 0.05
     assert record["parameters"]["roughness"] == pytest.approx([0.2], rel=1e-2)
     assert record["scene"].startswith("24 x 24 pixels") and "64 lights" in record["scene"]
     assert len(list((tmp_path / "cache").iterdir())) == 1

@@ -111,7 +111,7 @@ def test_the_parabola_touches_the_loss(small: Scene, name: str) -> None:
         assert (loss.value(first + step, target) <= above * (1 + 1e-3)).all()
 
 
-@pytest.mark.parametrize("name", ["delta_e", "log_hdr", "ssim"])
+@pytest.mark.parametrize("name", ["delta_e76", "log_hdr", "ssim"])
 @pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
 def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, kind: str) -> None:
     loss = RenderedLoss(small, name)
@@ -141,7 +141,7 @@ def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, 
 
 
 @pytest.mark.parametrize(
-    ("strategy", "name"), [("global", "delta_e"), ("global", "log_hdr"), ("global", "ssim"), ("staged", "psnr")]
+    ("strategy", "name"), [("global", "delta_e76"), ("global", "log_hdr"), ("global", "ssim"), ("staged", "psnr")]
 )
 @pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
 def test_a_fit_finds_what_was_drawn(small: Scene, strategy: str, name: str, kind: str) -> None:
@@ -178,9 +178,9 @@ def test_one_tone_map_for_all(small: Scene) -> None:
     first, second = values(small, mixture(0.1)), values(small, mixture(0.2))
     pictures = small.transport @ torch.cat([first, second])
     tone = ToneMap.from_images(pictures, small.mask.expand(2, 24, 24))
-    found = RenderedLoss(small, "delta_e", tone=tone)(first, second, small.pairs).item()
+    found = RenderedLoss(small, "delta_e76", tone=tone)(first, second, small.pairs).item()
     shown = tone(pictures)
-    expected = DIFFERENCES["delta_e"]()(shown[:1], shown[1:], small.mask).item()
+    expected = DIFFERENCES["delta_e76"]()(shown[:1], shown[1:], small.mask).item()
     assert found == pytest.approx(expected, rel=1e-4)
 
 
@@ -210,7 +210,7 @@ def test_what_it_refuses(small: Scene) -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-@pytest.mark.parametrize("name", ["delta_e", "ssim"])
+@pytest.mark.parametrize("name", ["delta_e76", "ssim"])
 def test_a_gpu_sees_what_the_cpu_sees(small: Scene, name: str) -> None:
     loss = RenderedLoss(small, name)
     prediction, target = values(small, mixture(0.2)), values(small, mixture(0.1))

@@ -57,10 +57,18 @@ def _facets(pairs: Pairs, sharpness: Tensor, exponent: Tensor) -> Tensor:
 class LowABC(Lobe):
     """A microfacet lobe with the ABC distribution of Low et al. 2012, whose tails are those of many measurements."""
 
-    amplitude = albedo(start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel")
-    sharpness = BoundedParameter(start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe")
-    exponent = BoundedParameter(start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls")
-    ior = BoundedParameter(start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real")
+    amplitude: BoundedParameter = albedo(
+        start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel"
+    )
+    sharpness: BoundedParameter = BoundedParameter(
+        start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe"
+    )
+    exponent: BoundedParameter = BoundedParameter(
+        start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls"
+    )
+    ior: BoundedParameter = BoundedParameter(
+        start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real"
+    )
     function = staticmethod(abc)
 
     @classmethod

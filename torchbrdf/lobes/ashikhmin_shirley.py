@@ -36,9 +36,13 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
 class AshikhminShirley(Lobe):
     """The isotropic Ashikhmin-Shirley lobe (eq. 2 and 3), with the start and bounds of the paper's Table 1."""
 
-    specular = albedo(start=0.5, doc="specular albedo, per channel")
-    exponent = BoundedParameter(start=5.0, lower=0.001, upper=50000.0, log=True, doc="m, the sharpness of the lobe")
-    f0 = BoundedParameter(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    exponent: BoundedParameter = BoundedParameter(
+        start=5.0, lower=0.001, upper=50000.0, log=True, doc="m, the sharpness of the lobe"
+    )
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(ashikhmin_shirley)
 
     @classmethod

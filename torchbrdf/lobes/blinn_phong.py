@@ -31,8 +31,10 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
 class BlinnPhong(Lobe):
     """Blinn's lobe with the factor of Ngan et al.; the bounds hold all of their fits."""
 
-    specular = albedo(start=0.1, doc="specular albedo, per channel")
-    exponent = BoundedParameter(start=100.0, lower=0.001, upper=200_000.0, log=True, doc="n, the sharpness of the lobe")
+    specular: BoundedParameter = albedo(start=0.1, doc="specular albedo, per channel")
+    exponent: BoundedParameter = BoundedParameter(
+        start=100.0, lower=0.001, upper=200_000.0, log=True, doc="n, the sharpness of the lobe"
+    )
     function = staticmethod(blinn_phong)
 
     @classmethod

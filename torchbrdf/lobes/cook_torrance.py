@@ -42,11 +42,13 @@ def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
 class CookTorrance(Lobe):
     """Cook-Torrance with Beckmann's distribution (eq. 4 to 6), with the start and bounds of the paper's Table 1."""
 
-    specular = albedo(start=0.5, doc="specular albedo, per channel")
-    roughness = BoundedParameter(
+    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    roughness: BoundedParameter = BoundedParameter(
         start=0.02, lower=0.001, upper=1.0, log=True, doc="m, the rms slope of the microfacets"
     )
-    f0 = BoundedParameter(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(cook_torrance)
 
     @classmethod

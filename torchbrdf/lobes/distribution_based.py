@@ -46,7 +46,7 @@ def _at(distribution: Tensor, index: Tensor) -> Tensor:
 class DistributionBased(Lobe):
     """A microfacet lobe with a tabulated distribution for each channel, Fresnel and shadowing."""
 
-    distribution = BoundedParameter(
+    distribution: BoundedParameter = BoundedParameter(
         start=0.01,
         lower=1e-6,
         upper=1e6,
@@ -55,5 +55,7 @@ class DistributionBased(Lobe):
         log=True,
         doc="D at MERL's theta_h, per channel",
     )
-    f0 = BoundedParameter(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(distribution_based)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchbrdf.lobes import base
 from torchbrdf.lobes._microfacet import apply_albedo
-from torchbrdf.lobes.base import LOBES, Lobe
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.pairs import Pairs
 
 
@@ -24,7 +24,7 @@ def lambert(pairs: Pairs, albedo: Tensor) -> Tensor:
 class Lambert(Lobe):
     """Diffuse reflection: albedo / pi."""
 
-    albedo = base.albedo(start=0.5, doc="diffuse albedo, per channel")
+    albedo: BoundedParameter = base.albedo(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
 
     @classmethod

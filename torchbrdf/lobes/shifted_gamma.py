@@ -74,22 +74,26 @@ class ShiftedGamma(Lobe):
     together. The value depends on the product of `specular` and `normalization` only, and fits move both.
     """
 
-    specular = albedo(start=0.1, upper=5.0, doc="specular albedo, per channel")
-    alpha = BoundedParameter(start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared")
-    p = BoundedParameter(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
-    normalization = BoundedParameter(
+    specular: BoundedParameter = albedo(start=0.1, upper=5.0, doc="specular albedo, per channel")
+    alpha: BoundedParameter = BoundedParameter(
+        start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared"
+    )
+    p: BoundedParameter = BoundedParameter(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
+    normalization: BoundedParameter = BoundedParameter(
         start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution"
     )
-    f0 = BoundedParameter(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
-    f1 = BoundedParameter(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
-    shadow = BoundedParameter(
+    f0: BoundedParameter = BoundedParameter(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
+    f1: BoundedParameter = BoundedParameter(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
+    shadow: BoundedParameter = BoundedParameter(
         start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing"
     )
-    reach = BoundedParameter(
+    reach: BoundedParameter = BoundedParameter(
         start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians"
     )
-    steepness = BoundedParameter(start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing")
-    onset = BoundedParameter(
+    steepness: BoundedParameter = BoundedParameter(
+        start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing"
+    )
+    onset: BoundedParameter = BoundedParameter(
         start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians"
     )
     function = staticmethod(shifted_gamma)

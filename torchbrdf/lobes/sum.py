@@ -2,7 +2,7 @@
 
 from torch import Tensor, nn
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import UsageError
 from torchbrdf.lobes.base import Lobe
 from torchbrdf.pairs import Pairs
 
@@ -13,7 +13,7 @@ class Sum(Lobe):
     def __init__(self, *lobes: Lobe) -> None:
         super().__init__()
         if not lobes:
-            raise ShapeError("Sum: expected at least one lobe, found none")
+            raise UsageError("Sum: expected at least one lobe, found none")
         self.lobes = nn.ModuleList(part for lobe in lobes for part in lobe.components())
 
     def components(self) -> list[Lobe]:

@@ -32,8 +32,10 @@ def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
 class Ward(Lobe):
     """Ward's isotropic lobe (eq. 7), with the start and bounds of the paper's Table 1."""
 
-    specular = albedo(start=0.5, doc="specular albedo, per channel")
-    roughness = BoundedParameter(start=0.01, lower=0.001, upper=0.5, log=True, doc="alpha, the width of the lobe")
+    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    roughness: BoundedParameter = BoundedParameter(
+        start=0.01, lower=0.001, upper=0.5, log=True, doc="alpha, the width of the lobe"
+    )
     function = staticmethod(ward)
 
     @classmethod

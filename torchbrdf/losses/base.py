@@ -11,7 +11,7 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
-LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses")
+LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
 
 Reduction = Literal["none", "mean", "sum"]
 

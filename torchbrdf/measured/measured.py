@@ -16,7 +16,7 @@ from torchbrdf.registry import Registry, unknown
 
 Interpolation = Literal["linear", "nearest"]
 
-FORMATS: Registry[type["Source"]] = Registry("format", "torchbrdf.measured")
+FORMATS: Registry[type["Source"]] = Registry("format", "torchbrdf.measured", "torchbrdf.formats")
 
 
 class Lookup(NamedTuple):

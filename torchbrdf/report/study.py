@@ -22,8 +22,8 @@ from torchbrdf.render import Scene, render
 STANDINS = "stand-ins"
 REFERENCE = "reference"
 # Image differences that the report speaks of, by their registered names.
-SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e")
-DIFFERENCE = "delta_e"
+SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
+DIFFERENCE = "delta_e76"
 
 
 @dataclass
