@@ -385,6 +385,23 @@ class Pairs:
         return self._map(lambda value, _: value.to(device, None if value.dtype == torch.bool else dtype))
 
 
+def check_max_theta(max_theta: float) -> None:
+    """Refuse a largest angle from the normal that is none.
+
+    Args:
+        max_theta: degrees.
+
+    Raises:
+        UsageError: it is not above 0 and at most 90.
+
+    Example:
+        >>> from torchbrdf.pairs import check_max_theta
+        >>> check_max_theta(80.0)
+    """
+    if not 0 < max_theta <= 90:
+        raise UsageError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
+
+
 def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
     """The part of one dimension that a slice (as a view), a list or an index tensor names."""
     if isinstance(index, slice):

@@ -1,5 +1,6 @@
 """What a BRDF is made of: lobes, as functions of Pairs and as torch modules. A lobe a file."""
 
+from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
 from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
@@ -29,8 +30,10 @@ __all__ = [
     "Ward",
     "abc",
     "albedo",
+    "apply_albedo",
     "ashikhmin_shirley",
     "blinn_phong",
+    "clamp_cosine",
     "cook_torrance",
     "dielectric",
     "distribution_based",

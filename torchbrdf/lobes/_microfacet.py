@@ -14,7 +14,20 @@ TAN2_CEILING = 1e18
 
 
 def clamp_cosine(cosine: Tensor) -> Tensor:
-    """A cosine that may be divided by."""
+    """Keep a cosine from 0, so that it may be divided by.
+
+    Args:
+        cosine: any shape.
+
+    Returns:
+        The cosine, at least `COSINE_FLOOR`.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.lobes import clamp_cosine
+        >>> 1 / clamp_cosine(torch.tensor([0.5, 0.0, -0.5]))
+        tensor([2.0000e+00, 1.0000e+10, 1.0000e+10])
+    """
     return cosine.clamp_min(COSINE_FLOOR)
 
 
@@ -58,5 +71,23 @@ def v_groove(pairs: Pairs) -> Tensor:
 
 
 def apply_albedo(pairs: Pairs, shape: Tensor, albedo: Tensor) -> Tensor:
-    """albedo `(..., 3)` times a scalar shape `(..., N)`, zero below the horizon: `(..., N, 3)`."""
+    """Colour a scalar function: albedo times shape, zero below the horizon.
+
+    Args:
+        pairs: where the function was taken, `(..., N)`.
+        shape: its values in 1/sr, `(..., N)`.
+        albedo: the colour, `(..., 3)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import apply_albedo
+        >>> pairs = Pairs.from_cosines(torch.tensor([0.5, -0.5]), torch.ones(2))
+        >>> apply_albedo(pairs, torch.tensor([2.0, 2.0]), torch.tensor([0.1, 0.2, 0.3]))
+        tensor([[0.2000, 0.4000, 0.6000],
+                [0.0000, 0.0000, 0.0000]])
+    """
     return torch.where(pairs.above_horizon, shape, 0)[..., None] * albedo[..., None, :]

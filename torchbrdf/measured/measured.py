@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.pairs import Pairs
+from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import Registry, unknown
 
 Interpolation = Literal["linear", "nearest"]
@@ -31,6 +31,7 @@ class Source(ABC):
 
     `pairs` are the directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`. `suffixes` are those that
     no other kind of file has: a file so named that is not of the format is a bad one, and not one to pass over.
+    A subclass gives `recognises`, `open` and `read`; and `at`, if it can do better than the nearest sample.
     """
 
     format: ClassVar[str]
@@ -54,13 +55,59 @@ class Source(ABC):
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values `(m, n, 3)` and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0."""
 
-    @abstractmethod
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon. dtype and device are the pairs'."""
+        """Values at any pairs, zero below the horizon. dtype and device are the pairs'.
+
+        Here those of the nearest valid sample, whatever the interpolation.
+        """
+        return nearest_samples(self, pairs, materials)
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
         return {}
+
+
+def nearest_samples(source: Source, pairs: Pairs, materials: list[int]) -> Lookup:
+    """The values of the nearest valid samples, of isotropic materials.
+
+    Args:
+        source: where values are read.
+        pairs: where they are wanted, `(1, n)` or `(m, n)`.
+        materials: m of the source's materials.
+
+    Returns:
+        Values `(m, n, 3)`, zero below the horizon; those whose nearest sample was not valid are counted as filled.
+
+    Raises:
+        DataError: a material has no valid sample.
+    """
+    from scipy.spatial import KDTree
+
+    own, asked = _coordinates(source.pairs), _coordinates(pairs)
+    above = pairs.above_horizon.cpu()
+    found, filled = [], []
+    for row, material in enumerate(materials):
+        values, weight = (part[0] for part in source.read([material], slice(None)))
+        valid = weight[:, 0] > 0
+        if not valid.any():
+            raise DataError(f"{source.names[material]}: expected valid samples, found none")
+        points, wanted = own[material if len(own) > 1 else 0], asked[row if len(asked) > 1 else 0]
+        _, index = KDTree(points[valid]).query(wanted)
+        found.append(values[valid][torch.from_numpy(index)])
+        missed = torch.zeros(len(wanted), dtype=torch.bool)
+        if not valid.all():
+            _, nearest = KDTree(points).query(wanted)
+            missed = ~valid[torch.from_numpy(nearest)]
+        filled.append((missed & above[row if len(above) > 1 else 0]).sum())
+    values = torch.stack(found).to(pairs.device, pairs.dtype)
+    return Lookup(torch.where(pairs.above_horizon[..., None], values, 0), torch.stack(filled))
+
+
+def _coordinates(pairs: Pairs) -> Tensor:
+    """Where pairs `(m, n)` lie, `(m, n, 4)`, radians apart; phi_d and phi_d + pi are the same by reciprocity."""
+    theta_d, turn = pairs.theta_d.double().cpu(), 2 * pairs.phi_d.double().cpu()
+    around = torch.sin(theta_d) / 2
+    return torch.stack([pairs.theta_h.double().cpu(), theta_d, around * turn.cos(), around * turn.sin()], -1)
 
 
 class Samples(Source):
@@ -169,8 +216,7 @@ class Measured:
 
         Shared pairs beyond are left out; where every material has its own, they get weight 0.
         """
-        if not 0 < max_theta <= 90:
-            raise ShapeError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
+        check_max_theta(max_theta)
         limited = self._view(max_theta=min(max_theta, self.max_theta))
         pairs = self.source.pairs
         if max_theta < 90 and pairs.shape[0] == 1:
