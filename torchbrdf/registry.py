@@ -126,16 +126,20 @@ class Registry(Mapping[str, T], Generic[T]):
             own, self._offers = {*self._own(), *self._aliases}, {}
             offers = entry_points(group=self.group) if self.group else ()
             for offer in sorted(offers, key=lambda offer: (offer.name, _package(offer))):
-                taken = "torchbrdf" if offer.name in own else None
-                if offer.name in self._offers:
-                    taken = _package(self._offers[offer.name])
-                if taken and self._things.get(offer.name) is not _loaded(offer):
-                    log.warning(
-                        "torchbrdf: %s %r of package %s is left out: the name is taken by %s; expected another name",
-                        *(self.kind, offer.name, _package(offer), taken),
-                    )
-                elif not taken:
-                    self._offers[offer.name] = offer
+                name = offer.name
+                if name not in own:
+                    if name not in self._offers:
+                        self._offers[name] = offer
+                        continue
+                    owner = _package(self._offers[name])
+                elif name in self._things and self._things[name] is _loaded(offer):
+                    continue  # its module was imported before, and registered it
+                else:
+                    owner = "torchbrdf"
+                log.warning(
+                    "torchbrdf: %s %r of package %s is left out: the name is taken by %s; expected another name",
+                    *(self.kind, name, _package(offer), owner),
+                )
         return self._offers
 
     def _load(self, name: str) -> T:
