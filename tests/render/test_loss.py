@@ -201,6 +201,8 @@ def test_what_it_refuses(small: Scene) -> None:
         RenderedLoss(small, "delta")
     with pytest.raises(UsageError, match="ms_ssim needs pictures of 161 pixels"):
         RenderedLoss(small, "ms_ssim")
+    with pytest.raises(UsageError, match="without a reduction, found 'mean'"):
+        RenderedLoss(small, DIFFERENCES["log_hdr"](reduction="mean"))
     with pytest.raises(UsageError, match="no subsets"):
         loss.problem(Measured(Painted([mixture()])), torch.arange(3))
     with pytest.raises(ShapeError, match="no weights"):

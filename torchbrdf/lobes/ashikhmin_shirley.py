@@ -12,12 +12,30 @@ from torchbrdf.pairs import Pairs
 
 
 def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tensor) -> Tensor:
-    """specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
+    """The isotropic Ashikhmin-Shirley lobe: specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
 
-    F is Schlick's Fresnel. specular: albedo `(..., 3)`; exponent: m `(..., 1)`; f0 `(..., 1)`.
-    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    F is Schlick's Fresnel.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo `(..., 3)`.
+        exponent: m `(..., 1)`.
+        f0: reflectance at normal incidence `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the paper's eq. 2 and 3; M. Ashikhmin and P. Shirley, An Anisotropic Phong BRDF Model, 2000,
     doi:10.1080/10867651.2000.10487522.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import ashikhmin_shirley
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> ashikhmin_shirley(pairs, colour, torch.tensor([50.0]), torch.tensor([0.3]))
+        tensor([[0.0227, 0.0454, 0.0681]])
     """
     return apply_albedo(pairs, _power(pairs, exponent) * fresnel(f0, pairs), specular)
 
@@ -34,7 +52,17 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
 
 @LOBES.register("ashikhmin_shirley")
 class AshikhminShirley(Lobe):
-    """The isotropic Ashikhmin-Shirley lobe (eq. 2 and 3), with the start and bounds of the paper's Table 1."""
+    """The isotropic Ashikhmin-Shirley lobe (eq. 2 and 3), with the start and bounds of the paper's Table 1.
+
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import AshikhminShirley
+        >>> AshikhminShirley(exponent=50.0)
+        AshikhminShirley(specular=[0.5, 0.5, 0.5], exponent=50, f0=0.3)
+    """
 
     specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
     exponent: BoundedParameter = BoundedParameter(

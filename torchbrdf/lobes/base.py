@@ -226,19 +226,53 @@ class Lobe(_Declared):
 
     @classmethod
     def albedo_spec(cls) -> "BoundedParameter | None":
-        """The linear colour of a lobe that is one colour times a scalar function of pairs and scalars, else None."""
+        """The declaration of the albedo of a lobe that is one albedo times a scalar function of pairs and scalars.
+
+        Returns:
+            The only linear parameter of the shape `(3,)` where all others are scalars; None of any other lobe.
+
+        Example:
+            >>> from torchbrdf.lobes import LowABC, ShiftedGamma
+            >>> LowABC.albedo_spec().name, ShiftedGamma.albedo_spec()
+            ('amplitude', None)
+        """
         albedos = [spec for spec in cls.parameter_specs.values() if spec.linear and spec.shape == (3,)]
         rest = [spec for spec in cls.parameter_specs.values() if spec not in albedos]
         return albedos[0] if len(albedos) == 1 and all(spec.size == 1 for spec in rest) else None
 
     @classmethod
     def scalars(cls) -> list["BoundedParameter"]:
-        """The other parameters of such a lobe."""
+        """The declarations of a lobe's parameters other than the albedo.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward
+            >>> [spec.name for spec in Ward.scalars()]
+            ['roughness']
+        """
         return [spec for spec in cls.parameter_specs.values() if spec is not cls.albedo_spec()]
 
     @classmethod
     def unit_response(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
-        """The scalar function of such a lobe, its values where its colour is 1, `(..., N)`."""
+        """Values of a lobe where its albedo is 1.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`.
+            scalars: the other parameters, `(..., 1)` each, in the order of `scalars()`.
+
+        Returns:
+            Values in 1/sr, `(..., N)`.
+
+        Raises:
+            UsageError: the lobe is no albedo times a scalar function.
+
+        Example:
+            >>> import math, torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import Lambert
+            >>> up = torch.tensor([[0.0, 0.0, 1.0]])
+            >>> Lambert.unit_response(Pairs.from_directions(up, up)) * math.pi
+            tensor([1.])
+        """
         colour = cls.albedo_spec()
         if colour is None:
             raise UsageError(f"{cls.__name__}: expected an albedo times a scalar function, found a lobe that is none")
@@ -248,9 +282,25 @@ class Lobe(_Declared):
 
     @classmethod
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
-        """`unit_response`, and its derivative by each of `scalars`, `(..., N)` all.
+        """Values of a lobe where its albedo is 1, and their derivatives by each of its scalars.
 
-        Where both directions are above the horizon. By forward differentiation, unless a lobe knows a shorter way.
+        By forward differentiation, unless a lobe knows a shorter way.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`; below the horizon the result means nothing.
+            scalars: the other parameters, `(..., 1)` each, in the order of `scalars()`.
+
+        Returns:
+            `unit_response` and one derivative for each scalar, `(..., N)` all.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import Ward
+            >>> angle = torch.full((2, 5), 0.1)
+            >>> columns = Ward.value_and_jacobian(Pairs.from_half_diff(angle, angle, angle), torch.tensor([0.2]))
+            >>> [column.shape for column in columns]
+            [torch.Size([2, 5]), torch.Size([2, 5])]
         """
         found: list[Tensor] = []
         for k, moved in enumerate(scalars):
@@ -267,7 +317,22 @@ class Lobe(_Declared):
         return [self]
 
     def batched(self, materials: int) -> Self:
-        """A copy with its own parameters for each of M materials, `(M, k)`."""
+        """A copy with parameters of its own for each of M materials.
+
+        Args:
+            materials: M.
+
+        Returns:
+            The copy, whose parameters are `(M, *shape)`.
+
+        Raises:
+            ShapeError: it is batched already, for another number of materials.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward
+            >>> Ward().batched(4)
+            Ward(specular=<4 x 3>, roughness=<4 x 1>)
+        """
         made = copy.deepcopy(self)
         for part in made.components():
             for name, spec in part.parameter_specs.items():

@@ -30,7 +30,7 @@ def shifted_gamma(
     steepness: Tensor,
     onset: Tensor,
 ) -> Tensor:
-    """specular * D G(theta_i) G(theta_o) F / (pi cos_i cos_o), with parameters of their own for each channel.
+    """The shifted gamma lobe: specular * D G(theta_i) G(theta_o) F / (pi cos_i cos_o), each channel by itself.
 
     D = K exp(-t) / (pi t^p cos_h^4) with t = alpha + tan2_h / alpha. It is normalized where K is
     1 / (alpha Gamma(1 - p, alpha)), with the upper incomplete gamma function; all published K are.
@@ -38,11 +38,33 @@ def shifted_gamma(
     Published c go from 1e-8 to 1e109 and k to 856; here c is reach^-k, so that the exponent is ((theta - theta0) /
     reach)^k, which loses nothing in float32. F = F0 + (1 - F0) (1 - cos_d)^5 - F1 cos_d. G and F are not below 0.
 
-    specular: albedo; alpha: width, squared; p: how fast the tail falls; normalization: K; f0, f1: F0, F1; shadow:
-    Lambda; reach: c^(-1/k), radians; steepness: k; onset: theta0, radians; `(..., 3)` each.
-    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo, `(..., 3)` as all that follow.
+        alpha: width, squared.
+        p: how fast the tail falls.
+        normalization: K.
+        f0: F0.
+        f1: F1.
+        shadow: Lambda.
+        reach: c^(-1/k), radians.
+        steepness: k.
+        onset: theta0, radians.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: M. Bagher, C. Soler and N. Holzschuch, Accurate Fitting of Measured Reflectances Using a Shifted Gamma
     Micro-facet Distribution, 2012, doi:10.1111/j.1467-8659.2012.03147.x.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import ShiftedGamma, shifted_gamma
+        >>> angle = torch.full((1,), 0.2)
+        >>> starts = [torch.full((3,), spec.start) for spec in ShiftedGamma.parameter_specs.values()]
+        >>> shifted_gamma(Pairs.from_half_diff(angle, angle, angle), *starts)
+        tensor([[0.0053, 0.0053, 0.0053]])
     """
     alpha, p, steepness = alpha[..., None, :], p[..., None, :], steepness[..., None, :]
     f0, f1 = f0[..., None, :], f1[..., None, :]
@@ -72,6 +94,15 @@ class ShiftedGamma(Lobe):
 
     As no colour times a scalar function, it is fitted by the general solver: the staged procedure, then all parameters
     together. The value depends on the product of `specular` and `normalization` only, and fits move both.
+
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import ShiftedGamma
+        >>> ShiftedGamma(p=0.75).p.tolist()
+        [0.75, 0.75, 0.75]
     """
 
     specular: BoundedParameter = albedo(start=0.1, upper=5.0, doc="specular albedo, per channel")

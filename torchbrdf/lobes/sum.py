@@ -8,7 +8,20 @@ from torchbrdf.pairs import Pairs
 
 
 class Sum(Lobe):
-    """The sum of its lobes: `Sum(Lambert(), Ward(), Ward())` is the paper's eq. 11 with Ward's model."""
+    """The sum of its lobes: `Sum(Lambert(), Ward(), Ward())` is the paper's eq. 11 with Ward's model.
+
+    Args:
+        lobes: what to add; the lobes of sums among them are taken out of these.
+
+    Raises:
+        UsageError: there is none.
+
+    Example:
+        >>> from torchbrdf.lobes import Lambert, Sum, Ward
+        >>> model = Sum(Lambert(albedo=0.2), Ward(roughness=0.1))
+        >>> [type(lobe).__name__ for lobe in model.components()]
+        ['Lambert', 'Ward']
+    """
 
     def __init__(self, *lobes: Lobe) -> None:
         super().__init__()

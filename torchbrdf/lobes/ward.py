@@ -11,11 +11,27 @@ from torchbrdf.pairs import Pairs
 
 
 def ward(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
-    """specular * exp(-tan2_h / roughness^2) / (4 pi roughness^2 sqrt(cos_i cos_o)).
+    """Ward's isotropic lobe: specular * exp(-tan2_h / roughness^2) / (4 pi roughness^2 sqrt(cos_i cos_o)).
 
-    specular: albedo `(..., 3)`; roughness: alpha `(..., 1)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo `(..., 3)`.
+        roughness: alpha `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the paper's eq. 7; G. Ward, Measuring and Modeling Anisotropic Reflection, 1992,
     doi:10.1145/142920.134078.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import ward
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> ward(pairs, colour, torch.tensor([0.1]))
+        tensor([[0.0136, 0.0272, 0.0408]])
     """
     return apply_albedo(pairs, _shape(pairs, roughness), specular)
 
@@ -30,7 +46,17 @@ def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
 
 @LOBES.register("ward")
 class Ward(Lobe):
-    """Ward's isotropic lobe (eq. 7), with the start and bounds of the paper's Table 1."""
+    """Ward's isotropic lobe (eq. 7), with the start and bounds of the paper's Table 1.
+
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import Ward
+        >>> Ward(roughness=0.1)
+        Ward(specular=[0.5, 0.5, 0.5], roughness=0.1)
+    """
 
     specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
     roughness: BoundedParameter = BoundedParameter(
