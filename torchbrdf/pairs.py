@@ -323,7 +323,8 @@ class Pairs:
 
     def _map(self, change: Callable[[Tensor, bool], Tensor]) -> "Pairs":
         """The same pairs with every tensor changed; `change` is told whether it has vectors, `(..., N, 3)`."""
-        made = Pairs(**{name: change(value, name in ("wi", "wo")) for name, value in self._known.items()})
+        made = Pairs()
+        made._known = {name: change(value, name in ("wi", "wo")) for name, value in self._known.items()}
         made._cached = {key: change(value, False) for key, value in self._cached.items()}
         return made
 
