@@ -20,7 +20,9 @@ def lobes_of(name, measured, count=2):
     model = make_model(name, count).batched(len(measured))
     values = values_of(model)
     values[0, "albedo"] = measured.diffuse_45_0()
-    variables = [Variable(k, b, b.size) for k in range(1, count + 1) for b in model.parts()[k].declared.values()]
+    variables = [
+        Variable(k, b, b.size) for k in range(1, count + 1) for b in model.components()[k].parameter_specs.values()
+    ]
     return model, values, variables
 
 

@@ -23,8 +23,8 @@ PAIRS, NOISE = 4_000, 0.01
 def truth(name, materials, generator):
     """Batched models with random parameters: shapes uniform on the solver's scale, albedos that add up to below 1."""
     model = make_model(name, 2).batched(materials)
-    for k, part in enumerate(model.parts()):
-        for key, bounded in part.declared.items():
+    for k, part in enumerate(model.components()):
+        for key, bounded in part.parameter_specs.items():
             low, high = torch.tensor([bounded.lower, bounded.upper]).double()
             u = torch.rand(materials, bounded.size, generator=generator, dtype=torch.float64)
             if bounded.linear:

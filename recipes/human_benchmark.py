@@ -13,6 +13,7 @@ import torch
 from torchbrdf.errors import TorchbrdfError, UsageError
 from torchbrdf.files import replacing, write_text
 from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import (
     FACTORS,
     BenchmarkData,
@@ -56,7 +57,7 @@ class HumanBenchmark(Recipe):
     opinions: str = field(default="lavoue2021_distances_train.csv", metadata={"help": "a file in `human`"})
     losses: tuple[str, ...] = field(default=(), metadata={"help": "losses to score; none: all that are registered"})
     images: bool = field(default=False, metadata={"help": "also score pictures of a sphere"})
-    differences: tuple[str, ...] = field(default=("delta_e",), metadata={"help": "image differences of the pictures"})
+    differences: tuple[str, ...] = field(default=("delta_e76",), metadata={"help": "image differences of the pictures"})
     size: int = field(default=64, metadata={"help": "pixels of a side of the pictures"})
     samples: int = field(default=6000, metadata={"help": "pairs, uniform in theta_i, theta_o and phi"})
     max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
@@ -69,8 +70,7 @@ class HumanBenchmark(Recipe):
                     raise UsageError(f"{self.name}: {key}: expected a folder; quick=true runs on made-up answers")
         if min(self.samples, self.replicates) < 2 or not 16 <= self.size <= 512:
             raise UsageError(f"{self.name}: expected 2 samples and replicates at least, and 16 to 512 pixels")
-        if not 0 < self.max_theta <= 90:
-            raise UsageError(f"{self.name}: max_theta: expected above 0 and at most 90, found {self.max_theta}")
+        check_max_theta(self.max_theta)
 
     def steps(self, folder: RunFolder) -> Path:
         """Distances of every loss, statistics, report."""

@@ -24,10 +24,10 @@ class ImageVsAnalytic(Recipe):
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
     losses: tuple[str, ...] = ("rms", "cosine", "cuberoot", "compressed", "log")
     rendered: tuple[str, ...] = field(
-        default=("log_hdr", "delta_e"), metadata={"help": "image differences that are losses, too"}
+        default=("log_hdr", "delta_e76"), metadata={"help": "image differences that are losses, too"}
     )
     differences: tuple[str, ...] = field(
-        default=("delta_e", "delta_e2000", "flip", "ssim", "psnr", "log_hdr"),
+        default=("delta_e76", "delta_e2000", "flip", "ssim", "psnr", "log_hdr"),
         metadata={"help": "image differences that fits are judged by"},
     )
     lobes: int = field(default=2, metadata={"help": "specular lobes"})
@@ -49,8 +49,8 @@ class ImageVsAnalytic(Recipe):
         for key in ("models", "losses", "rendered", "differences"):
             if not getattr(self, key):
                 raise UsageError(f"{self.name}: {key}: expected at least one name, found none")
-        if "delta_e" not in self.differences:
-            raise UsageError(f"{self.name}: differences: expected delta_e among them, by which the report sorts")
+        if "delta_e76" not in self.differences:
+            raise UsageError(f"{self.name}: differences: expected delta_e76 among them, by which the report sorts")
         for key in (*self.rendered, *self.differences):
             least = DIFFERENCES[key].least_side
             sizes = {"train_size": self.train_size} if key in self.rendered else {}

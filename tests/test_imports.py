@@ -1,6 +1,7 @@
 """What importing costs, and that what is named is there."""
 
 import configparser
+import functools
 import importlib
 import json
 import subprocess
@@ -10,15 +11,17 @@ from pathlib import Path
 import pytest
 
 import torchbrdf
+from torchbrdf import images
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 
-def loaded(*statements: str) -> set[str]:
+@functools.cache
+def loaded(*statements: str) -> frozenset[str]:
     """The top-level modules in memory after some statements in a fresh interpreter."""
     code = "; ".join([*statements, "import json, sys", "print(json.dumps(sorted(sys.modules)))"])
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return {name.split(".")[0] for name in json.loads(done.stdout)}
+    return frozenset(name.split(".")[0] for name in json.loads(done.stdout))
 
 
 def test_the_package_alone_costs_nothing() -> None:
@@ -50,6 +53,22 @@ def test_public_names_are_those_with_a_home() -> None:
     assert not set(torchbrdf._HOME) & set(torchbrdf._HOME.values())
     with pytest.raises(AttributeError, match=r"^module 'torchbrdf' has no attribute 'nothing'$"):
         torchbrdf.nothing  # noqa: B018
+
+
+def test_exports_are_shown_before_they_are_used() -> None:
+    """What an editor or a notebook completes, in a process that has used nothing yet."""
+    code = "import torchbrdf, sys; print(sorted(set(torchbrdf.__all__) - set(dir(torchbrdf))), 'torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "False"]
+
+
+def test_every_export_of_images_is_there_and_shown() -> None:
+    assert set(images.__all__) <= set(dir(images))
+    assert set(images._HOME) <= set(images.__all__)
+    for name in images.__all__:
+        assert getattr(images, name) is not None
+    with pytest.raises(AttributeError, match=r"^module 'torchbrdf.images' has no attribute 'nothing'$"):
+        images.nothing  # noqa: B018
 
 
 @pytest.mark.parametrize("module", ["assets", "recipes", "cli"])

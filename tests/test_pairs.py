@@ -1,7 +1,10 @@
 """Directions, cosines and half/difference angles."""
 
+import copy
 import math
+import pickle
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,10 +15,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.pairs import Pairs
 
-QUANTITIES = ["cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo", "above"]
+QUANTITIES = ["cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo", "above_horizon"]
 
 quarter = st.floats(0, math.pi / 2)
 half_turn = st.floats(0, math.pi, exclude_max=True)
@@ -95,7 +98,7 @@ def test_ranges(dtype: torch.dtype) -> None:
             assert ((angle >= 0) & (angle <= math.pi / 2)).all()
 
 
-@pytest.mark.parametrize("exponent", range(-6, 0))
+@pytest.mark.parametrize("exponent", [-6, -3, -1])
 def test_tan2_h_keeps_its_digits_in_float32(exponent: int) -> None:
     """Near theta_h = 0 a float32 cos_h is 1; tan2_h keeps the digits that the directions have."""
     count = 200
@@ -128,7 +131,7 @@ def test_limits_are_numbers(dtype: torch.dtype) -> None:
 def test_above_needs_both() -> None:
     cos = torch.tensor([0.5, 0.0, -0.5])
     pairs = Pairs.from_cosines(*(x.flatten() for x in torch.meshgrid(cos, cos, indexing="ij")))
-    assert pairs.above.tolist() == [True] + [False] * 8
+    assert pairs.above_horizon.tolist() == [True] + [False] * 8
 
 
 def test_directions_broadcast() -> None:
@@ -143,10 +146,19 @@ def everything(pairs: Pairs) -> dict[str, torch.Tensor]:
     return {name: getattr(pairs, name) for name in QUANTITIES}
 
 
-@pytest.mark.parametrize("warm", [False, True], ids=["derived after", "derived before"])
-@pytest.mark.parametrize("samples", [slice(1, 6, 2), [3, 0], torch.tensor([5, 5, 1]), None])
-@pytest.mark.parametrize("materials", [slice(1, 3), [2, 0], torch.tensor([1]), None])
-@pytest.mark.parametrize("made", ["directions", "angles"])
+@pytest.mark.parametrize(
+    ("materials", "samples"),
+    [
+        (slice(1, 3), None),
+        (None, slice(1, 6, 2)),
+        ([2, 0], [3, 0]),
+        (torch.tensor([1]), torch.tensor([5, 5, 1])),
+        (slice(1, 3), [3, 0]),
+    ],
+)
+@pytest.mark.parametrize(
+    ("made", "warm"), [("directions", False), ("angles", True)], ids=["derived after", "derived before"]
+)
 def test_select(made: str, materials: Any, samples: Any, warm: bool) -> None:
     pairs, same = random_pairs(3, 7), random_pairs(3, 7)
     if made == "angles":
@@ -181,7 +193,7 @@ def test_to(warm: bool) -> None:
     assert (single.dtype, pairs.dtype) == (torch.float32, torch.float64)
     assert single.device == torch.device("cpu")
     for name, value in everything(single).items():
-        assert value.dtype == (torch.bool if name == "above" else torch.float32)
+        assert value.dtype == (torch.bool if name == "above_horizon" else torch.float32)
         torch.testing.assert_close(value, getattr(pairs, name).to(value.dtype), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(pairs.to("cpu").wi, pairs.wi, rtol=0, atol=0)
 
@@ -189,15 +201,15 @@ def test_to(warm: bool) -> None:
 def test_from_cosines_derives_what_it_can() -> None:
     full = random_pairs(50)
     pairs = Pairs.from_cosines(full.cos_i, full.cos_o, full.cos_h, full.cos_d)
-    for name in ("tan2_h", "theta_h", "theta_d", "above"):
+    for name in ("tan2_h", "theta_h", "theta_d", "above_horizon"):
         torch.testing.assert_close(getattr(pairs, name), getattr(full, name), rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(Pairs.from_cosines(full.cos_i, tan2_h=full.tan2_h).theta_h, full.theta_h)
 
 
-@pytest.mark.parametrize("name", ["cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo"])
-def test_from_cosines_refuses_what_it_cannot_know(name: str) -> None:
-    with pytest.raises(ShapeError, match=rf"^Pairs: {name} is needed, but only cos_i were given$"):
-        getattr(Pairs.from_cosines(torch.ones(3)), name)
+def test_from_cosines_refuses_what_it_cannot_know() -> None:
+    for name in ("cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "wi", "wo"):
+        with pytest.raises(ShapeError, match=rf"^Pairs: {name} is needed, but only cos_i were given$"):
+            getattr(Pairs.from_cosines(torch.ones(3)), name)
 
 
 def test_wrong_shape_is_refused() -> None:
@@ -208,6 +220,43 @@ def test_wrong_shape_is_refused() -> None:
 
 def test_repr_says_what_is_known() -> None:
     assert repr(Pairs.from_cosines(torch.ones(2, 3))) == "Pairs((2, 3), torch.float32, cpu, known: cos_i)"
+    assert repr(Pairs()) == "Pairs()"
+    vectors = Pairs(wi=torch.ones(2, 5, 3), wo=torch.ones(2, 5, 3))
+    assert repr(vectors) == "Pairs((2, 5), torch.float32, cpu, known: wi, wo)"
+
+
+def test_an_unknown_quantity_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"^Pairs: unknown quantity 'cos_x'; expected wi, wo, cos_i, "):
+        Pairs(cos_x=torch.ones(3))
+
+
+def test_items_make_the_same_pairs() -> None:
+    pairs = random_pairs(4)
+    again = Pairs(**dict(pairs.items()))
+    for name, value in everything(pairs).items():
+        assert torch.equal(getattr(again, name), value), name
+
+
+def test_unsqueeze_puts_a_shared_material_in_front() -> None:
+    pairs = random_pairs(4)
+    tan2 = pairs.cached(squared, lambda: squared(pairs))
+    shared = pairs.unsqueeze()
+    assert shared.shape == (1, 4) and shared.wi.shape == (1, 4, 3)
+    for name, value in everything(shared).items():
+        assert torch.equal(value[0], getattr(pairs, name)), name
+    assert torch.equal(shared.cached(squared, lambda: torch.empty(0))[0], tan2)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda pairs: pickle.loads(pickle.dumps(pairs))])
+def test_copies_know_the_same(copied: Callable[[Pairs], Pairs]) -> None:
+    pairs = random_pairs(2, 4)
+    everything(pairs)
+    pairs.cached(squared, lambda: squared(pairs))
+    made = copied(pairs)
+    assert repr(made) == repr(pairs)
+    for name, value in everything(made).items():
+        assert torch.equal(value, getattr(pairs, name)), name
+    assert torch.equal(made.cached(squared, lambda: squared(made)), squared(pairs))
 
 
 def test_differentiable() -> None:
@@ -220,20 +269,40 @@ def test_differentiable() -> None:
     assert torch.autograd.gradcheck(quantities, (wi, wo))
 
 
+def squared(pairs: Pairs) -> Tensor:
+    return pairs.cos_h.square()
+
+
 def test_what_lobes_derive_is_kept_and_follows_a_selection() -> None:
     wi, wo = hemisphere(1, 9, seed=1), hemisphere(1, 9, seed=2)
     pairs = Pairs.from_directions(wi, wo)
     made = []
 
-    def squared() -> Tensor:
+    def make() -> Tensor:
         made.append(1)
-        return pairs.cos_h.square()
+        return squared(pairs)
 
-    first = pairs.keep("squared", squared)
-    assert pairs.keep("squared", squared) is first and len(made) == 1
+    first = pairs.cached(squared, make)
+    assert pairs.cached(squared, make) is first and len(made) == 1
     part = pairs.select(samples=slice(2, 5))
-    assert torch.equal(part.keep("squared", squared), first[:, 2:5]) and len(made) == 1
+    assert torch.equal(part.cached(squared, make), first[:, 2:5]) and len(made) == 1
+    assert part.to(dtype=torch.float32).cached(squared, make).dtype == torch.float32
     moving = Pairs.from_directions(wi.requires_grad_(), wo)
-    value = moving.keep("squared", lambda: moving.cos_h.square())
+    value = moving.cached(squared, lambda: squared(moving))
     assert value.requires_grad
-    assert moving.keep("squared", lambda: moving.cos_h.square()) is not value  # a graph is not kept
+    assert moving.cached(squared, lambda: squared(moving)) is not value  # a graph is not kept
+
+
+def test_what_is_kept_belongs_to_who_asked() -> None:
+    """Functions of one name in two modules, a class, a module, and two quantities of one owner keep apart."""
+    pairs = random_pairs(3)
+    other = type(squared)(squared.__code__, {}, "squared")
+    other.__module__ = "somebody_elses"
+    owners = [(squared, ""), (other, ""), (squared, "second"), (Pairs, ""), (math, "")]
+    kept = [pairs.cached(owner, lambda k=k: torch.full((3,), float(k)), name) for k, (owner, name) in enumerate(owners)]
+    assert [value[0].item() for value in kept] == [0, 1, 2, 3, 4]
+    for (owner, name), value in zip(owners, kept, strict=True):
+        assert pairs.cached(owner, lambda: torch.empty(0), name) is value
+    assert {name for name, _ in pairs.items()} <= set(QUANTITIES)
+    with pytest.raises(UsageError, match=r"^Pairs.cached: expected an owner at the top of a module, found .*<lambda>$"):
+        pairs.cached(lambda: None, lambda: torch.empty(0))

@@ -1,5 +1,7 @@
-"""Name -> thing, found by itself."""
+"""Name -> thing, found by itself, or offered by another package."""
 
+import importlib
+import logging
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,6 +64,88 @@ def test_a_name_is_registered_once() -> None:
 def test_a_thing_is_returned_as_it_was() -> None:
     thing = object()
     assert Registry("thing", "nowhere").register("one")(thing) is thing
+
+
+def test_a_decorated_class_is_still_itself() -> None:
+    assert isinstance(Registry("thing", "nowhere").register("one")(Path), type)
+
+
+def test_a_former_name_finds_the_thing_and_is_not_listed(package: str) -> None:
+    things = __import__(package).THINGS
+    things.alias("first", "alpha")
+    assert things["first"] == "ALPHA" and "first" in things
+    assert list(things) == ["alpha", "beta"]
+    with pytest.raises(UsageError, match=r"^unknown thing 'frst'; expected one of alpha, beta$"):
+        things["frst"]
+
+
+def offer(folder: Path, package: str, **entries: str) -> None:
+    """What pip leaves of a package that offers things to `pack_of_things`."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    lines = [f"{name} = {value}" for name, value in entries.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[pack_of_things.things]", *lines]) + "\n")
+
+
+@pytest.fixture
+def offered(package: str, tmp_path: Path) -> Registry[str]:
+    """The registry of the package, and others' offers: good, of a taken name, broken, and of one name twice."""
+    (tmp_path / "pack_of_things_more.py").write_text(
+        "from pack_of_things import THINGS\nGAMMA = 'GAMMA'\nDELTA = THINGS.register('delta')('DELTA')\n"
+    )
+    (tmp_path / "pack_of_things_bad.py").write_text("raise RuntimeError('nothing\\nworks')\n")
+    offer(tmp_path, "apples", gamma="pack_of_things_more:GAMMA", delta="pack_of_things_more:DELTA")
+    offer(tmp_path, "berries", alpha="pack_of_things_more:GAMMA", gamma="pack_of_things_more:DELTA")
+    offer(tmp_path, "cherries", epsilon="pack_of_things_bad:EPSILON")
+    offer(tmp_path, "dates", zeta="pack_of_things_more:NOTHING")
+    importlib.invalidate_caches()
+    things: Registry[str] = __import__(package).THINGS
+    things.group = "pack_of_things.things"
+    return things
+
+
+def test_what_another_package_offers_is_found_by_name(offered: Registry[str]) -> None:
+    assert offered["alpha"] == "ALPHA"
+    assert "pack_of_things_more" not in sys.modules, "our own names cost no import of others'"
+    assert offered["gamma"] == "GAMMA"
+    assert "pack_of_things_bad" not in sys.modules, "what nobody asks for is not loaded"
+    assert offered["delta"] == "DELTA"  # registered by its module, too
+    assert "epsilon" in offered and "omega" not in offered
+
+
+def test_what_another_package_offers_is_listed_and_the_broken_is_left_out(
+    offered: Registry[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, "torchbrdf"):
+        assert list(offered) == ["alpha", "beta", "delta", "gamma"]
+        assert dict(offered)["gamma"] == "GAMMA" and len(offered) == 4  # and nothing is said again
+    assert sorted(caplog.messages) == [
+        "torchbrdf: thing 'alpha' of package berries is left out: the name is taken by torchbrdf; "
+        "expected another name",
+        "torchbrdf: thing 'epsilon' of package cherries cannot be loaded from pack_of_things_bad:EPSILON: "
+        "RuntimeError: nothing works",
+        "torchbrdf: thing 'gamma' of package berries is left out: the name is taken by apples; expected another name",
+        "torchbrdf: thing 'zeta' of package dates cannot be loaded from pack_of_things_more:NOTHING: "
+        "AttributeError: module 'pack_of_things_more' has no attribute 'NOTHING'",
+    ]
+
+
+def test_a_thing_that_its_module_registered_before_is_no_clash(
+    offered: Registry[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    importlib.import_module("pack_of_things_more")
+    with caplog.at_level(logging.WARNING, "torchbrdf"):
+        assert offered["delta"] == "DELTA" and "gamma" in offered
+    assert not any("delta" in message for message in caplog.messages)
+
+
+def test_a_broken_thing_says_why_when_asked_for(offered: Registry[str]) -> None:
+    for _ in range(2):
+        with pytest.raises(UsageError, match=r"^thing 'epsilon' of package cherries cannot be loaded .*nothing works$"):
+            offered["epsilon"]
+    with pytest.raises(UsageError, match=r"unknown thing 'gama'; expected one of .*; did you mean 'gamma'\?$"):
+        offered["gama"]
 
 
 def test_what_the_package_brings() -> None:

@@ -3,8 +3,9 @@
 The parts are imported at first use, so that `import torchbrdf.losses` costs no more than torch.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from torchbrdf._lazy import exports
 
 __version__ = "0.1.0"
 
@@ -50,8 +51,4 @@ __all__ = [
     "run",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'torchbrdf' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"torchbrdf.{_HOME[name]}"), name)
+__getattr__, __dir__ = exports(__name__, _HOME)

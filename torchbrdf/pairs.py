@@ -1,14 +1,19 @@
 """Pairs of incident and outgoing directions, with the cosines that BRDFs need, computed once."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, ItemsView
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, UsageError
 
 Index = Tensor | slice | list[int] | None
+Owner = Callable[..., object] | type | ModuleType
+
+QUANTITIES = ("wi", "wo", "cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "above_horizon")
+"""What a `Pairs` can hold and be asked for."""
 
 
 class Pairs:
@@ -21,16 +26,54 @@ class Pairs:
 
     tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1.
 
+    `from_directions`, `from_half_diff` and `from_cosines` make one; the constructor takes `QUANTITIES` as they are.
+
+    Args:
+        known: quantities by name, of shapes and dtypes that fit together; they are not checked.
+
+    Raises:
+        UsageError: a name is not one of `QUANTITIES`.
+
     Source: S. Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation, 1998,
     doi:10.1007/978-3-7091-6453-2_2.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> wi = torch.tensor([[0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
+        >>> pairs = Pairs.from_directions(wi, wo=torch.tensor([[-0.6, 0.0, 0.8]]))
+        >>> len(pairs), pairs.cos_h
+        (2, tensor([1.0000, 0.9487]))
     """
 
     def __init__(self, **known: Tensor) -> None:
+        for name in known:
+            if name not in QUANTITIES:
+                raise UsageError(f"Pairs: unknown quantity {name!r}; expected {', '.join(QUANTITIES)}")
         self._known = known
+        self._cached: dict[tuple[Owner, str], Tensor] = {}
 
     @classmethod
     def from_directions(cls, wi: Tensor, wo: Tensor) -> "Pairs":
-        """From unit vectors `(..., N, 3)` that broadcast against each other."""
+        """Make pairs of unit vectors.
+
+        Args:
+            wi: directions to the light, `(..., N, 3)`.
+            wo: directions to the viewer, `(..., N, 3)`; the two broadcast against each other.
+
+        Returns:
+            Pairs `(..., N)`, of which every quantity is known or can be derived.
+
+        Raises:
+            ShapeError: a last dimension is not 3.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> up = torch.tensor([[0.0, 0.0, 1.0]])
+            >>> Pairs.from_directions(up, up).theta_d
+            tensor([0.])
+        """
         if wi.shape[-1:] != (3,) or wo.shape[-1:] != (3,):
             raise ShapeError(f"Pairs: expected directions (..., N, 3), found wi {(*wi.shape,)} and wo {(*wo.shape,)}")
         wi, wo = torch.broadcast_tensors(wi, wo)
@@ -50,7 +93,24 @@ class Pairs:
 
     @classmethod
     def from_half_diff(cls, theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> "Pairs":
-        """From half and difference angles in radians, `(..., N)` each."""
+        """Make pairs from Rusinkiewicz' half and difference angles.
+
+        Args:
+            theta_h: angle between the normal and the half vector, radians, `(..., N)`.
+            theta_d: angle between the half vector and either direction, radians, `(..., N)`.
+            phi_d: azimuth of the light about the half vector, radians, `(..., N)`; the three broadcast.
+
+        Returns:
+            Pairs `(..., N)`, whose half vectors lie in the plane of x and z.
+
+        Example:
+            >>> import math, torch
+            >>> from torchbrdf import Pairs
+            >>> angle = torch.tensor([math.pi / 8])
+            >>> reading = Pairs.from_half_diff(angle, angle, torch.zeros(1))  # light at 45 degrees, viewer at 0
+            >>> reading.cos_i, reading.cos_o
+            (tensor([0.7071]), tensor([1.]))
+        """
         theta_h, theta_d, phi_d = torch.broadcast_tensors(theta_h, theta_d, phi_d)
         sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
         even, odd = cos_h * cos_d, sin_h * sin_d * phi_d.cos()
@@ -74,7 +134,25 @@ class Pairs:
         cos_d: Tensor | None = None,
         tan2_h: Tensor | None = None,
     ) -> "Pairs":
-        """From the cosines that somebody already has, `(..., N)` each; what is missing is refused when asked for."""
+        """Make pairs from the cosines that a renderer already has.
+
+        Args:
+            cos_i: cosine between normal and light, `(..., N)`.
+            cos_o: cosine between normal and viewer, `(..., N)`.
+            cos_h: cosine between normal and half vector, `(..., N)`.
+            cos_d: cosine between half vector and either direction, `(..., N)`.
+            tan2_h: squared tangent of the angle between normal and half vector, `(..., N)`; better than cos_h where
+                lobes are sharp.
+
+        Returns:
+            Pairs `(..., N)`. A quantity that cannot be derived is a ShapeError when it is asked for.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> Pairs.from_cosines(torch.tensor([0.5, -0.5]), torch.tensor([1.0, 1.0])).above_horizon
+            tensor([ True, False])
+        """
         given = {"cos_i": cos_i, "cos_o": cos_o, "cos_h": cos_h, "cos_d": cos_d, "tan2_h": tan2_h}
         return cls(**{name: value for name, value in given.items() if value is not None})
 
@@ -84,18 +162,49 @@ class Pairs:
             value = self._known[name] = self._derive(name)
         return value
 
-    def keep(self, name: str, make: Callable[[], Tensor]) -> Tensor:
-        """A quantity `(..., N)` that does not depend on any parameter: made at first use, and kept under this name."""
-        value = self._known.get(name)
+    def cached(self, owner: Owner, make: Callable[[], Tensor], name: str = "") -> Tensor:
+        """A quantity of somebody else's that depends on the pairs alone: made at first use, and kept.
+
+        What is kept follows `select`, `to` and `unsqueeze`. Two packages cannot get each other's: a quantity belongs to
+        the function, class or module that asks for it.
+
+        Args:
+            owner: the module-level function or class, or the module, that the quantity belongs to.
+            make: makes it, `(..., N)`; called only where it is not there yet. A result with a graph is not kept.
+            name: tells several quantities of one owner apart.
+
+        Returns:
+            The quantity, `(..., N)`.
+
+        Raises:
+            UsageError: the owner is a local function or a lambda, of which each call makes another one.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> def grazing(pairs: Pairs) -> torch.Tensor:
+            ...     return pairs.cached(grazing, lambda: 1 - pairs.cos_i)
+            >>> pairs = Pairs.from_cosines(torch.tensor([0.25]))
+            >>> grazing(pairs) is grazing(pairs)
+            True
+        """
+        # Compilers do not know the names of functions, and have seen this when it ran.
+        if not torch.compiler.is_compiling() and "<" in getattr(owner, "__qualname__", ""):
+            raise UsageError(f"Pairs.cached: expected an owner at the top of a module, found {owner.__qualname__}")
+        value = self._cached.get((owner, name))
         if value is None:
             value = make()
             if not value.requires_grad:
-                self._known[name] = value
+                self._cached[owner, name] = value
         return value
+
+    def __getstate__(self) -> dict[str, object]:
+        """What is cached is made again by whoever owns it."""
+        return {"_known": self._known, "_cached": {}}
 
     def _derive(self, name: str) -> Tensor:
         known = self._known
-        if name == "above":
+        if name == "above_horizon":
             return (self.cos_i > 0) & (self.cos_o > 0)
         if name == "tan2_h" and "cos_h" in known:
             square = self.cos_h.square()
@@ -164,36 +273,91 @@ class Pairs:
         return self._get("wo")
 
     @property
-    def above(self) -> Tensor:
+    def above_horizon(self) -> Tensor:
         """Whether both directions are above the horizon."""
-        return self._get("above")
+        return self._get("above_horizon")
 
     @property
     def shape(self) -> torch.Size:
         """`(..., N)`."""
-        return self.cos_i.shape
+        return self._any().shape
 
     @property
     def dtype(self) -> torch.dtype:
         """dtype of every quantity."""
-        return self.cos_i.dtype
+        return self._any().dtype
 
     @property
     def device(self) -> torch.device:
         """Device of every quantity."""
-        return self.cos_i.device
+        return self._any().device
+
+    def _any(self) -> Tensor:
+        """A quantity `(..., N)` that is known: cos_i, if it is."""
+        for name in ("cos_i", *self._known):
+            if name in self._known:
+                return self._known[name][..., 0] if name in ("wi", "wo") else self._known[name]
+        return self.cos_i
 
     def __len__(self) -> int:
         return self.shape[-1]
 
     def __repr__(self) -> str:
+        if not self._known:
+            return "Pairs()"
         return f"Pairs({(*self.shape,)}, {self.dtype}, {self.device}, known: {', '.join(sorted(self._known))})"
 
+    def items(self) -> ItemsView[str, Tensor]:
+        """The quantities that are known so far, by name: `Pairs(**dict(pairs.items()))` is the same pairs.
+
+        Returns:
+            Names of `QUANTITIES` with their tensors, `(..., N)`, of `wi` and `wo` `(..., N, 3)`.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> dict(Pairs.from_cosines(torch.tensor([0.25])).items())
+            {'cos_i': tensor([0.2500])}
+        """
+        return self._known.items()
+
     def _map(self, change: Callable[[Tensor, bool], Tensor]) -> "Pairs":
-        return Pairs(**{name: change(value, name in ("wi", "wo")) for name, value in self._known.items()})
+        """The same pairs with every tensor changed; `change` is told whether it has vectors, `(..., N, 3)`."""
+        made = Pairs()
+        made._known = {name: change(value, name in ("wi", "wo")) for name, value in self._known.items()}
+        made._cached = {key: change(value, False) for key, value in self._cached.items()}
+        return made
+
+    def unsqueeze(self) -> "Pairs":
+        """The same pairs with a dimension of 1 in front: `(N,)` becomes `(1, N)`, shared by all materials.
+
+        Returns:
+            Pairs `(1, ..., N)`, views of the same tensors.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> Pairs.from_cosines(torch.tensor([0.25, 0.5])).unsqueeze().shape
+            torch.Size([1, 2])
+        """
+        return self._map(lambda value, _: value[None])
 
     def select(self, materials: Index = None, samples: Index = None) -> "Pairs":
-        """The pairs of some materials (ignored where all share the pairs) and some samples."""
+        """The pairs of some materials and some samples.
+
+        Args:
+            materials: index into the first dimension; ignored where all materials share the pairs.
+            samples: index into the last dimension. A slice gives views, a list or an index tensor copies.
+
+        Returns:
+            Pairs with what was known or kept of those.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> Pairs.from_cosines(torch.tensor([0.1, 0.2, 0.3])).select(samples=[2, 0]).cos_i
+            tensor([0.3000, 0.1000])
+        """
 
         def pick(value: Tensor, vector: bool) -> Tensor:
             sample_dim = value.dim() - (2 if vector else 1)
@@ -204,8 +368,39 @@ class Pairs:
         return self._map(pick)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Pairs":
-        """The same pairs on another device or in another floating-point dtype."""
+        """The same pairs on another device or in another floating-point dtype.
+
+        Args:
+            device: where to; None: where they are.
+            dtype: of every quantity but `above_horizon`, which is bool; None: as it is.
+
+        Returns:
+            Pairs whose tensors are the same where nothing changes.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> Pairs.from_cosines(torch.tensor([0.5])).to(dtype=torch.float64).cos_i
+            tensor([0.5000], dtype=torch.float64)
+        """
         return self._map(lambda value, _: value.to(device, None if value.dtype == torch.bool else dtype))
+
+
+def check_max_theta(max_theta: float) -> None:
+    """Refuse a largest angle from the normal that is none.
+
+    Args:
+        max_theta: degrees.
+
+    Raises:
+        UsageError: it is not above 0 and at most 90.
+
+    Example:
+        >>> from torchbrdf.pairs import check_max_theta
+        >>> check_max_theta(80.0)
+    """
+    if not 0 < max_theta <= 90:
+        raise UsageError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
 
 
 def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:

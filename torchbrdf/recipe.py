@@ -18,7 +18,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import write_text
 from torchbrdf.registry import Registry, unknown
 
-RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes")
+RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,24 @@ def quiet(label: str, total: int) -> Callable[[int], None]:
 
 
 def find_recipe(name: str) -> type[Recipe]:
-    """A recipe by its registered name, or by the path of a Python file that holds one."""
+    """Find a recipe by its name, our own or another package's, or by the path of a Python file that holds one.
+
+    Modules that lie beside the file can be imported while it is loaded.
+
+    Args:
+        name: a registered name, or a path that ends in .py.
+
+    Returns:
+        The class, of which `configure` makes a recipe.
+
+    Raises:
+        UsageError: there is no such name or file, or the file holds none or several.
+
+    Example:
+        >>> from torchbrdf.recipe import find_recipe
+        >>> find_recipe("fores2012").__name__
+        'Fores2012'
+    """
     if not name.endswith(".py"):
         return RECIPES[name]
     path = Path(name)
@@ -79,7 +96,12 @@ def find_recipe(name: str) -> type[Recipe]:
         raise UsageError(f"recipe {name}: expected a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    folder = str(path.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(folder)
     found = [
         thing
         for thing in vars(module).values()

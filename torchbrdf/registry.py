@@ -1,18 +1,40 @@
-"""Name -> thing, for lobes, losses, formats and recipes: a file put into the right folder is found by itself."""
+"""Name -> thing, for lobes, losses, formats, differences, strategies and recipes: our own, and other packages'."""
 
 import difflib
 import importlib
+import logging
 import pkgutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from torchbrdf.errors import UsageError
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 T = TypeVar("T")
+Registered = TypeVar("Registered")
+
+log = logging.getLogger("torchbrdf")
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """The error for a name that is not there, with the nearest that is."""
+    """The error for a name that is not there, with the nearest that is.
+
+    Args:
+        kind: what the name was to name.
+        name: the name.
+        known: the names that there are.
+
+    Returns:
+        The error, to be raised.
+
+    Example:
+        >>> from torchbrdf.registry import unknown
+        >>> print(unknown("lobe", "wrad", ["lambert", "ward"]))
+        unknown lobe 'wrad'; expected one of lambert, ward; did you mean 'ward'?
+    """
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -20,25 +42,75 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """The registered things of one kind. Looking one up first imports every module of `package`."""
+    """The things of one kind by name: those that modules of a package register, and those of other packages.
 
-    def __init__(self, kind: str, package: str) -> None:
-        self.kind, self.package = kind, package
+    Looking a name up first imports every module of `package`, so that a file put there is found by itself. Names that
+    are not there are looked for among the entry points of `group` of all installed packages, which are loaded when
+    they are asked for or listed. One that cannot be loaded, or whose name is taken, is left out with a warning that
+    names its package; asking for it by name says why.
+
+    Args:
+        kind: what things these are, for messages.
+        package: the package whose modules register things.
+        group: the group of entry points in which other packages offer more; none without.
+
+    Example:
+        >>> from torchbrdf.lobes import LOBES
+        >>> "ward" in LOBES, LOBES["ward"].__name__
+        (True, 'Ward')
+    """
+
+    def __init__(self, kind: str, package: str, group: str = "") -> None:
+        self.kind, self.package, self.group = kind, package, group
         self._things: dict[str, T] = {}
+        self._aliases: dict[str, str] = {}
         self._complete = False
+        self._offers: dict[str, EntryPoint] | None = None
+        self._broken: dict[str, UsageError] = {}
 
-    def register(self, name: str) -> Callable[[T], T]:
-        """A decorator that registers what it decorates."""
+    def register(self, name: str) -> Callable[[Registered], Registered]:
+        """Register what is decorated.
 
-        def put(thing: T) -> T:
+        Args:
+            name: the name to find it by.
+
+        Returns:
+            A decorator that gives back what it decorates.
+
+        Raises:
+            UsageError: the name is taken.
+
+        Example:
+            >>> from torchbrdf.registry import Registry
+            >>> greetings = Registry("greeting", "json")
+            >>> greetings.register("hello")(print)
+            <built-in function print>
+        """
+
+        def put(thing: Registered) -> Registered:
             if name in self._things:
                 raise UsageError(f"{self.kind} {name!r} is registered twice: {self._things[name]!r} and {thing!r}")
-            self._things[name] = thing
+            self._things[name] = thing  # type: ignore[assignment]  # decorators keep the type of what they decorate
             return thing
 
         return put
 
-    def _all(self) -> dict[str, T]:
+    def alias(self, old: str, new: str) -> None:
+        """Let a former name go on finding a thing; it is not listed.
+
+        Args:
+            old: the former name.
+            new: the registered name.
+
+        Example:
+            >>> from torchbrdf.images import DIFFERENCES
+            >>> DIFFERENCES["delta_e"] is DIFFERENCES["delta_e76"], "delta_e" in list(DIFFERENCES)
+            (True, False)
+        """
+        self._aliases[old] = new
+
+    def _own(self) -> dict[str, T]:
+        """What the package's modules register, and what has been loaded of other packages."""
         if not self._complete:
             package = importlib.import_module(self.package)
             for module in pkgutil.iter_modules(package.__path__):
@@ -46,17 +118,82 @@ class Registry(Mapping[str, T], Generic[T]):
             self._complete = True
         return self._things
 
+    def _offered(self) -> dict[str, "EntryPoint"]:
+        """The entry points of other packages whose names are free, not loaded yet."""
+        if self._offers is None:
+            from importlib.metadata import entry_points
+
+            own, self._offers = {*self._own(), *self._aliases}, {}
+            offers = entry_points(group=self.group) if self.group else ()
+            for offer in sorted(offers, key=lambda offer: (offer.name, _package(offer))):
+                name = offer.name
+                if name not in own:
+                    if name not in self._offers:
+                        self._offers[name] = offer
+                        continue
+                    owner = _package(self._offers[name])
+                elif name in self._things and self._things[name] is _loaded(offer):
+                    continue  # its module was imported before, and registered it
+                else:
+                    owner = "torchbrdf"
+                log.warning(
+                    "torchbrdf: %s %r of package %s is left out: the name is taken by %s; expected another name",
+                    *(self.kind, name, _package(offer), owner),
+                )
+        return self._offers
+
+    def _load(self, name: str) -> T:
+        """The thing of another package; a UsageError that names the package if it cannot be had."""
+        if name in self._things:
+            return self._things[name]
+        if name not in self._broken:
+            offer = self._offered()[name]
+            try:
+                thing = offer.load()
+            except Exception as error:  # whatever other people's code raises
+                reason = " ".join(f"{type(error).__name__}: {error}".split())
+                where = f"{self.kind} {name!r} of package {_package(offer)}"
+                self._broken[name] = UsageError(f"{where} cannot be loaded from {offer.value}: {reason}")
+                self._broken[name].__cause__ = error
+            else:
+                return self._things.setdefault(name, thing)
+        raise self._broken[name]
+
+    def _listed(self) -> dict[str, T]:
+        """Everything that can be had; what cannot is said once."""
+        self._own()
+        for name in self._offered():
+            said = name in self._broken
+            try:
+                self._load(name)
+            except UsageError as error:
+                if not said:
+                    log.warning("torchbrdf: %s", error)
+        return self._things
+
     def __getitem__(self, name: str) -> T:
-        things = self._all()
-        if name not in things:
-            raise unknown(self.kind, name, things)
-        return things[name]
+        name = self._aliases.get(name, name) if name not in self._own() else name
+        if name in self._things:
+            return self._things[name]
+        if name in self._offered():
+            return self._load(name)
+        raise unknown(self.kind, name, self._listed())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._all()
+        return name in self._own() or name in self._aliases or name in self._offered()
 
     def __iter__(self) -> Iterator[str]:
-        return iter(sorted(self._all()))
+        return iter(sorted(self._listed()))
 
     def __len__(self) -> int:
-        return len(self._all())
+        return len(self._listed())
+
+
+def _package(offer: "EntryPoint") -> str:
+    """The package that an entry point comes with."""
+    return offer.dist.name if offer.dist is not None else offer.module
+
+
+def _loaded(offer: "EntryPoint") -> Any:
+    """What an entry point names if its module is in memory already, else None."""
+    return getattr(sys.modules.get(offer.module), offer.attr, None)

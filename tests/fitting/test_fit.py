@@ -29,13 +29,15 @@ TRUTHS = {
 def test_staged_recovers_a_material_that_the_model_made(name, loss):
     truth = TRUTHS[name].to(torch.float64)
     gray = truth.unpack(truth.pack())
-    gray.parts()[1].specular.data[:] = truth.parts()[1].specular.data.mean()  # a scalar albedo is right in stage one
+    gray.components()[1].specular.data[:] = truth.components()[
+        1
+    ].specular.data.mean()  # a scalar albedo is right in stage one
     result = fit(make_model(name, 1), measured_from(gray), loss, samples=None)
     assert result.status == [Status.CONVERGED]
     values = measured_from(gray).values
     assert result.error.item() < 1e-3 * loss(torch.zeros_like(values), values, some_pairs())
-    found, wanted = result.model.parts()[1], gray.parts()[1]
-    for parameter in type(wanted).declared:
+    found, wanted = result.model.components()[1], gray.components()[1]
+    for parameter in type(wanted).parameter_specs:
         if parameter in ("roughness", "exponent"):
             torch.testing.assert_close(getattr(found, parameter)[0], getattr(wanted, parameter), rtol=0.01, atol=0)
 
@@ -58,7 +60,7 @@ def test_the_stages_are_the_papers():
         "RGB albedo, shapes held, all samples",
     ]
     torch.testing.assert_close(
-        result.model.parts()[0].albedo.detach(), measured_from(TRUTHS["ward"].double()).diffuse_45_0()
+        result.model.components()[0].albedo.detach(), measured_from(TRUTHS["ward"].double()).diffuse_45_0()
     )
     assert result.samples == 500
 
@@ -70,12 +72,12 @@ def test_diffuse_fit_moves_the_diffuse_albedo():
         fit(make_model("ward", 1), measured, CosineRMSLoss(), diffuse=d, samples=None) for d in ("45:0", "fit")
     )
     assert free.error.item() < 0.01 * held.error.item()
-    torch.testing.assert_close(free.model.parts()[0].albedo[0], truth.parts()[0].albedo, atol=1e-3, rtol=0)
+    torch.testing.assert_close(free.model.components()[0].albedo[0], truth.components()[0].albedo, atol=1e-3, rtol=0)
 
 
 def test_bounds_hold():
     truth = Sum(Lambert(albedo=0.2), Ward(specular=1.0, roughness=0.05)).double()
-    truth.parts()[1].specular.data[:] = 3.0
+    truth.components()[1].specular.data[:] = 3.0
     result = fit(make_model("ward", 2), measured_from(truth), RMSLoss(), samples=None)
     lower, upper = result.model.bounds
     packed = result.model.pack()

@@ -32,8 +32,8 @@ def two_lobes(name, materials=1):
     model = make_model(name, 2, torch.float64).batched(materials)
     key, *shapes = SHAPE[name]
     step = torch.linspace(1, 1.3, materials, dtype=torch.float64)[:, None]
-    model.parts()[0].albedo.data[:] = torch.tensor([0.2, 0.15, 0.1])
-    for part, shape, color in zip(model.parts()[1:], shapes, ([0.3, 0.25, 0.2], [0.2, 0.3, 0.4]), strict=True):
+    model.components()[0].albedo.data[:] = torch.tensor([0.2, 0.15, 0.1])
+    for part, shape, color in zip(model.components()[1:], shapes, ([0.3, 0.25, 0.2], [0.2, 0.3, 0.4]), strict=True):
         getattr(part, key).data = shape * step
         part.specular.data[:] = torch.tensor(color, dtype=torch.float64)
         if name != "ward":
@@ -77,7 +77,7 @@ def test_seeds_are_near_the_truth(name, lobes):
     values = truth(pairs).detach()
     model = make_model(name, lobes, torch.float64).batched(2)
     task = Task(model, Problem(pairs, values), CosineRMSLoss())
-    start = values_of(model) | {(0, "albedo"): truth.parts()[0].albedo.detach()}
+    start = values_of(model) | {(0, "albedo"): truth.components()[0].albedo.detach()}
     found = seeds(task, start, False, 4)
     shapes = torch.cat([found[k, SHAPE[name][0]] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
     for material in range(2):
@@ -88,7 +88,7 @@ def test_seeds_are_near_the_truth(name, lobes):
         error < (0.7 if lobes == 1 else 0.35) * CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
     ).all()
     for (k, key), value in found.items():
-        bounded = model.parts()[k].declared[key]
+        bounded = model.components()[k].parameter_specs[key]
         assert value.shape[0] == 8 and (value >= bounded.lower).all() and (value <= bounded.upper).all()
 
 
@@ -166,11 +166,11 @@ def test_bad_materials_say_so_and_leave_the_others_be(strategy, loss):
 def test_a_start_outside_its_bounds():
     measured = measured_from(two_lobes("ward"), materials=3)
     model = make_model("ward", 2, torch.float64).batched(3)
-    model.parts()[1].roughness.data[1] = 7.0
+    model.components()[1].roughness.data[1] = 7.0
     result = fit(model, measured, RMSLoss(), samples=300)
     assert result.status[1] == Status.BAD_START and "Ward.roughness: expected 0.001 to 0.5, found 7" in result.reason[1]
     assert result.status[0] == result.status[2] == Status.CONVERGED
-    model.parts()[1].roughness.data[:] = 7.0
+    model.components()[1].roughness.data[:] = 7.0
     with pytest.raises(ShapeError, match="found 7"):
         fit(model, measured, RMSLoss(), samples=300)
 

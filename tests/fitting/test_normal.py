@@ -12,7 +12,7 @@ from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum
 from torchbrdf.losses import LOSSES, CubeRootLoss, GroupedLoss, Loss, Problem
 from torchbrdf.pairs import Pairs
 
-COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
+COLORED = [name for name, lobe in LOBES.items() if lobe.albedo_spec() is not None and lobe is not Lambert]
 ANALYTIC = [name for name, loss in LOSSES.items() if loss.error is Loss.error or issubclass(loss, GroupedLoss)]
 
 
@@ -32,8 +32,8 @@ def model_of(name, materials):
     """Lambert and two lobes, different for each material, well inside the bounds."""
     generator = torch.Generator().manual_seed(4)
     model = Sum(Lambert(), LOBES[name](), LOBES[name]()).batched(materials).double()
-    for part in model.parts():
-        for key, bounded in part.declared.items():
+    for part in model.components():
+        for key, bounded in part.parameter_specs.items():
             u = 0.3 + 0.4 * torch.rand(materials, bounded.size, generator=generator, dtype=torch.float64)
             low, high = torch.tensor([bounded.lower, bounded.upper]).double()
             value = (low.log() + u * (high / low).log()).exp() if bounded.log else low + u * (high - low)
@@ -43,10 +43,10 @@ def model_of(name, materials):
 
 def kinds(model):
     """All parameters; a scalar albedo for one lobe alone; colours with the shapes held."""
-    parts = model.parts()
-    everything = [Variable(k, b, b.size) for k in range(3) for b in parts[k].declared.values()]
-    scalar = [Variable(1, b, 1) for b in parts[1].declared.values()]
-    colors = [Variable(k, b, b.size) for k in (1, 2) for b in parts[k].declared.values() if b.linear]
+    parts = model.components()
+    everything = [Variable(k, b, b.size) for k in range(3) for b in parts[k].parameter_specs.values()]
+    scalar = [Variable(1, b, 1) for b in parts[1].parameter_specs.values()]
+    colors = [Variable(k, b, b.size) for k in (1, 2) for b in parts[k].parameter_specs.values() if b.linear]
     return {"all": (everything, [0, 1, 2]), "scalar": (scalar, [0, 1]), "colors": (colors, [0, 1, 2])}
 
 
@@ -108,10 +108,10 @@ def test_the_matrix_is_the_hessian_of_a_least_squares_loss_at_an_exact_fit(name,
 def test_closed_derivatives_are_forward_modes(name):
     """What a lobe says of itself, beside what `Lobe` works out for any lobe."""
     kind, pairs = LOBES[name], problem(1, True, False).pairs
-    part = model_of(name, 3).parts()[1]
+    part = model_of(name, 3).components()[1]
     scalars = [getattr(part, bounded.name).detach() for bounded in kind.scalars()]
-    own = kind.linearized(pairs, *scalars)
-    general = Lobe.linearized.__func__(kind, pairs, *scalars)
+    own = kind.value_and_jacobian(pairs, *scalars)
+    general = Lobe.value_and_jacobian.__func__(kind, pairs, *scalars)
     assert len(own) == len(general) == 1 + len(scalars)
     for one, other in zip(own, general, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-12)

@@ -12,7 +12,7 @@ def some_pairs(count=3000, seed=0):
     generator = torch.Generator().manual_seed(seed)
     uniform = torch.rand(3, 1, count, generator=generator, dtype=torch.float64)
     pairs = Pairs.from_half_diff(uniform[0] ** 2 * 1.3, uniform[1] * 1.3, uniform[2] * math.pi)
-    return pairs.select(samples=pairs.above[0].nonzero()[:, 0])
+    return pairs.select(samples=pairs.above_horizon[0].nonzero()[:, 0])
 
 
 class Made(Samples):

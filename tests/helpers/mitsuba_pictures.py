@@ -105,7 +105,7 @@ class Beckmann:
         cos_i, cos_o = pairs.cos_i.clamp_min(1e-6), pairs.cos_o.clamp_min(1e-6)
         facets = torch.exp(-pairs.tan2_h / self.alpha**2) * (1 + pairs.tan2_h).square() / (math.pi * self.alpha**2)
         value = facets * self._shadowing(cos_i) * self._shadowing(cos_o) / (4 * cos_i * cos_o)
-        return torch.where(pairs.above, value, 0)[..., None].expand(*pairs.shape, 3)
+        return torch.where(pairs.above_horizon, value, 0)[..., None].expand(*pairs.shape, 3)
 
     def _shadowing(self, cosine: Tensor) -> Tensor:
         a = cosine / (self.alpha * (1 - cosine.square()).clamp_min(1e-12).sqrt())

@@ -11,7 +11,7 @@ from scipy.signal import correlate2d
 from torch import Tensor
 
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.images.differences.delta_e import lab
+from torchbrdf.images.differences.delta_e76 import lab
 from torchbrdf.images.differences.delta_e2000 import ciede2000
 from torchbrdf.images.differences.flip import FLIP
 
@@ -100,7 +100,7 @@ def plain_compressed(image: np.ndarray, reference: np.ndarray, mask: np.ndarray)
         ("psnr", plain_psnr, 1e-12),
         ("ssim", plain_ssim, 1e-9),
         ("ms_ssim", plain_ms_ssim, 1e-9),
-        ("delta_e", plain_delta_e76, 1e-4),
+        ("delta_e76", plain_delta_e76, 1e-4),
         ("log_hdr", plain_log, 1e-12),
         ("compressed_hdr", plain_compressed, 1e-12),
     ],
@@ -211,7 +211,7 @@ def test_colours_against_skimage() -> None:
     color = pytest.importorskip("skimage.color")
     image, reference, mask = pair()
     np.testing.assert_allclose(lab(image).numpy(), color.rgb2lab(image.numpy()), atol=1e-3)
-    for name, distance in (("delta_e", color.deltaE_cie76), ("delta_e2000", color.deltaE_ciede2000)):
+    for name, distance in (("delta_e76", color.deltaE_cie76), ("delta_e2000", color.deltaE_ciede2000)):
         apart = distance(color.rgb2lab(image.numpy()), color.rgb2lab(reference.numpy()))[:, mask.numpy()].mean(-1)
         np.testing.assert_allclose(DIFFERENCES[name]()(image, reference, mask).numpy(), apart, rtol=1e-6)
 

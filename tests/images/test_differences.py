@@ -1,6 +1,8 @@
 """Image differences: a contract that each keeps by itself."""
 
+import copy
 import math
+import pickle
 from collections.abc import Callable
 
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from torchbrdf import images
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, Difference, PixelDifference
 from torchbrdf.images.differences.compressed_hdr import CompressedHDR
@@ -47,6 +50,40 @@ def test_every_difference_keeps_the_contract(name: str) -> None:
     assert torch.allclose(difference(image, reference, torch.ones_like(mask)), whole)
     assert difference(image, reference, torch.zeros_like(mask)).isnan().all()
     assert difference.registered_name == name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_function_and_a_reduction_say_the_same(name: str) -> None:
+    kind = DIFFERENCES[name]
+    image, reference, mask = pictures(kind())
+    each = kind()(image, reference, mask)
+    function = getattr(images, name)
+    assert torch.equal(function(image, reference, mask), each)
+    assert torch.equal(function(image, reference, mask, reduction="mean"), each.mean())
+    for reduction, reduce in (("mean", torch.mean), ("sum", torch.sum)):
+        reduced = kind(reduction=reduction)
+        assert isinstance(reduced, torch.nn.Module) and f"reduction='{reduction}'" in repr(reduced)
+        assert torch.equal(reduced(image, reference, mask), reduce(each))
+        assert torch.equal(reduced.loss(image, reference, mask), reduce(kind().loss(image, reference, mask)))
+        copied = pickle.loads(pickle.dumps(copy.deepcopy(reduced)))
+        assert torch.equal(copied(image, reference, mask), reduce(each))
+    with pytest.raises(UsageError, match=rf"^{kind.__name__}: expected reduction none, mean or sum, found 'max'$"):
+        kind(reduction="max")  # type: ignore[arg-type]
+
+
+def test_settings_reach_the_function() -> None:
+    image, reference, mask = pictures(LogHDR())
+    assert torch.equal(images.log_hdr(image, reference, eps=0.3), LogHDR(0.3)(image, reference))
+    compressed = CompressedHDR(0.7, 0.2)
+    assert torch.equal(images.compressed_hdr(image, reference, exponent=0.7, eps=0.2), compressed(image, reference))
+    image, reference, mask = pictures(FLIP())
+    assert torch.equal(images.flip(image, reference, mask, pixels_per_degree=9), FLIP(9)(image, reference, mask))
+    assert repr(CompressedHDR(0.5)) == "CompressedHDR(exponent=0.5, eps=0.001, reduction='none')"
+
+
+def test_a_former_name_is_found_and_not_listed() -> None:
+    assert DIFFERENCES["delta_e"] is DIFFERENCES["delta_e76"]
+    assert "delta_e" not in NAMES and DIFFERENCES["delta_e"]().registered_name == "delta_e76"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -112,7 +149,7 @@ def test_float32_is_enough(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["delta_e", "delta_e2000", "flip", "log_hdr", "compressed_hdr", "psnr", "ssim", "ms_ssim"]
+    "name", ["delta_e76", "delta_e2000", "flip", "log_hdr", "compressed_hdr", "psnr", "ssim", "ms_ssim"]
 )
 def test_the_order_does_not_matter(name: str) -> None:
     difference = DIFFERENCES[name]()

@@ -169,9 +169,9 @@ def test_closed_form(name: str, data: st.DataObject) -> None:
     formula, strategies = EXACT[name]
     drawn = [data.draw(strategy) for strategy in strategies]
     parameters = []
-    for value, bounded in zip(drawn, LOBES[name].declared.values(), strict=True):
+    for value, spec in zip(drawn, LOBES[name].parameter_specs.values(), strict=True):
         tensor = torch.tensor(value, dtype=torch.float64)
-        parameters.append(tensor.reshape(*bounded.shape[:-1], 1).expand(bounded.shape))
+        parameters.append(tensor.reshape(*spec.shape[:-1], 1).expand(spec.shape))
     pairs = Pairs.from_directions(torch.from_numpy(wi)[None], torch.from_numpy(wo)[None])
     found = LOBES[name].function(pairs, *parameters)
     assert found.shape == (1, 3)
@@ -198,9 +198,9 @@ def test_every_channel_has_its_own_albedo() -> None:
 def test_shifted_gamma_has_parameters_of_its_own_for_each_channel() -> None:
     """Each channel is the lobe of that channel's numbers, and of no other's."""
     pairs = Pairs.from_half_diff(*torch.tensor([[0.2], [1.1], [0.3]], dtype=torch.float64))
-    declared = LOBES["shifted_gamma"].declared.values()
+    specs = LOBES["shifted_gamma"].parameter_specs.values()
     rising = torch.linspace(0.9, 1.1, 3, dtype=torch.float64)
-    values = [torch.tensor(bounded.start or 0.1, dtype=torch.float64) * rising for bounded in declared]
+    values = [torch.tensor(spec.start or 0.1, dtype=torch.float64) * rising for spec in specs]
     found = shifted_gamma(pairs, *values)[0]
     for channel in range(3):
         alone = shifted_gamma(pairs, *(value[channel : channel + 1] for value in values))[0]
@@ -220,13 +220,13 @@ def test_table_1() -> None:
         ("ashikhmin_shirley", "exponent"): (5, 0.001, 50000),
         ("ashikhmin_shirley", "f0"): (0.3, 0.02, 1),
     }
-    declared = {
+    found = {
         (lobe, name): (b.start, b.lower, b.upper)
         for lobe in ("ward", "cook_torrance", "ashikhmin_shirley")
-        for name, b in LOBES[lobe].declared.items()
+        for name, b in LOBES[lobe].parameter_specs.items()
     }
-    assert declared == table
-    albedo = LOBES["lambert"].declared["albedo"]
+    assert found == table
+    albedo = LOBES["lambert"].parameter_specs["albedo"]
     assert (albedo.lower, albedo.upper) == (0, 1)
 
 

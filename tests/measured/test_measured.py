@@ -73,7 +73,7 @@ def test_within_leaves_out_grazing_pairs(which, limit, request):
 
 @pytest.mark.parametrize("limit", [0, -1, 90.5, math.nan])
 def test_within_refuses(samples, limit):
-    with pytest.raises(ShapeError, match="max_theta: expected an angle above 0 and at most 90"):
+    with pytest.raises(UsageError, match="max_theta: expected an angle above 0 and at most 90"):
         samples.within(limit)
 
 

@@ -94,7 +94,7 @@ def test_pairs_are_the_bin_centres(source):
     torch.testing.assert_close(source.pairs.theta_h[0], theta_h, rtol=1e-15, atol=0)
     torch.testing.assert_close(source.pairs.theta_d[0], theta_d, rtol=1e-15, atol=0)
     torch.testing.assert_close(source.pairs.phi_d[0], phi_d, rtol=1e-15, atol=0)
-    assert source.pairs.above.all()
+    assert source.pairs.above_horizon.all()
 
 
 def test_round_trip_of_the_file_is_bit_for_bit(source, merl_file, tmp_path):

@@ -184,7 +184,7 @@ def test_all_real_files(data):
     assert together.dtype == torch.float32
     alone = load(measured.source.paths[3]).at(pairs)
     assert torch.equal(together[3], alone[0])
-    each = pairs.select()._map(lambda value, _: value.expand(2, *value.shape[1:]))
+    each = Pairs(**{name: value.expand(2, *value.shape[1:]) for name, value in pairs.items()})
     assert torch.equal(measured.batch([3, 5]).at(each), together[[3, 5]])
 
 

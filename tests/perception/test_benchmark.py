@@ -34,7 +34,7 @@ def out(tmp_path_factory):
 def test_every_loss_has_a_score_with_an_interval(out):
     records = json.loads((out / "scores.json").read_text())
     names = {record["loss"] for record in records}
-    assert names == {*LOSSES, "rendered_delta_e"}
+    assert names == {*LOSSES, "rendered_delta_e76"}
     assert {record["statistic"] for record in records} == {"majority", "votes", "pairs", "apart", "across"}
     assert len(records) == 5 * len(names)
     for record in records:
@@ -62,7 +62,7 @@ def test_the_page_says_in_large_letters_that_nobody_was_asked(out):
 
 def test_what_is_scored_is_not_scored_again(out, monkeypatch):
     before = {path: path.stat().st_mtime_ns for path in (out / "distances").iterdir()}
-    assert {path.stem for path in before} == {*LOSSES, "rendered_delta_e"}
+    assert {path.stem for path in before} == {*LOSSES, "rendered_delta_e76"}
     (out / "distances" / "rms.npz").unlink()
     scores = (out / "scores.json").read_text()
     run(benchmark(**SETTINGS), out)
@@ -84,7 +84,7 @@ def test_what_is_scored_is_not_scored_again(out, monkeypatch):
         ({}, "materials: expected a folder; quick=true runs on made-up answers"),
         ({"materials": "merl"}, "human: expected a folder"),
         ({"quick": "true", "samples": "1"}, "expected 2 samples"),
-        ({"quick": "true", "max_theta": "95"}, "max_theta: expected above 0"),
+        ({"quick": "true", "max_theta": "95"}, "max_theta: expected an angle above 0"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, said):

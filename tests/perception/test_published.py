@@ -153,7 +153,7 @@ def test_float32_holds_what_was_published(name: str, file: Path, published: dict
 
 def test_published_k_is_the_normalization(published: dict[str, PublishedFits]) -> None:
     """All 300 K of Bagher et al. are 1 / (alpha Gamma(1 - p, alpha)): the distribution is the one that we have."""
-    lobe = published["bagher_sgd"].model.parts()[1]
+    lobe = published["bagher_sgd"].model.components()[1]
     assert isinstance(lobe, ShiftedGamma)
     columns = (value.flatten().tolist() for value in (lobe.alpha, lobe.p, lobe.normalization))
     for alpha, p, k in zip(*columns, strict=True):
@@ -164,21 +164,21 @@ def test_blinn_phong_is_of_the_half_vector(published: dict[str, PublishedFits]) 
     """n is about 2 / alpha^2 of Ward's fit of the same material; of the mirror direction it would be a quarter."""
     ward, phong = published["ngan_ward"], published["ngan_blinnphong"]
     assert ward.materials == phong.materials
-    alpha, n = ward.model.parts()[1].roughness, phong.model.parts()[1].exponent
+    alpha, n = ward.model.components()[1].roughness, phong.model.components()[1].exponent
     assert 0.8 < (n * alpha.square() / 2).median() < 1.6
     for widths in (0.0, 0.25, 0.5, 1.0):  # the lobes themselves, near the normal
         theta_h = torch.atan(widths * alpha)
         pairs = Pairs.from_half_diff(theta_h, torch.full_like(theta_h, 0.1), torch.full_like(theta_h, math.pi / 2))
-        value, other = (fits.model.parts()[1](pairs) for fits in (phong, ward))
+        value, other = (fits.model.components()[1](pairs) for fits in (phong, ward))
         assert 0.7 < (value / other).median() < 1.4
 
 
 def test_ngan_lacks_the_channels(file: Path, published: dict[str, PublishedFits]) -> None:
     """The diffuse albedos of others for the same materials, which came with the scales, say so."""
     raw = read_published(file, dtype=torch.float64, channel_scales=False)["ngan_cooktorrance"]
-    other = published["bagher_sgd"].of(raw.materials).parts()[0].albedo
+    other = published["bagher_sgd"].of(raw.materials).components()[0].albedo
     for fits, expected in ((raw, (1, 1.15, 1.66)), (published["ngan_cooktorrance"], (1, 1, 1))):
-        albedo = fits.model.parts()[0].albedo
+        albedo = fits.model.components()[0].albedo
         bright = (albedo > 0.05).all(-1)
         ratio = (other / albedo)[bright]
         found = (ratio / ratio[:, :1]).median(0).values
@@ -216,7 +216,7 @@ def test_they_come_close_to_the_materials(name: str, file: Path, published: dict
         bare = read_published(file, dtype=torch.float64, channel_scales=False)[name]
         assert (found < error(bare.of(measured.names)(measured.pairs))).double().mean() > 0.7
     else:  # a pi too many or too few is what conventions differ by
-        diffuse, specular = (part(measured.pairs) for part in published[name].of(measured.names).parts())
+        diffuse, specular = (part(measured.pairs) for part in published[name].of(measured.names).components())
         for factor in (math.pi, 1 / math.pi):
             assert (found < error(diffuse + factor * specular)).double().mean() > 0.7
 
@@ -260,7 +260,7 @@ def test_a_set(tmp_path: Path) -> None:
     (fits,) = read_published(write(tmp_path, made_up())).values()
     assert (fits.name, fits.materials, len(fits)) == ("ngan_ward", ["tin", "zinc"], 2)
     assert "Ngan" in fits.source
-    assert isinstance(fits.model, Sum) and isinstance(fits.model.parts()[0], Lambert)
+    assert isinstance(fits.model, Sum) and isinstance(fits.model.components()[0], Lambert)
     row = [0.1, 0.23, 0.498, 0.01, 0.023, 0.0498]
     torch.testing.assert_close(fits.model.pack(), torch.tensor([[*row, 0.1], [*row, 1]]))
     torch.testing.assert_close(fits.of(["zinc", "tin", "zinc"]).pack(), fits.model.pack()[[1, 0, 1]])

@@ -193,7 +193,7 @@ def test_the_plan_of_a_study_is_served_as_it_is(study):
                 staged = "-staged" if record["strategy"] == "staged" else ""
                 stimulus = material.stimuli[f"ward-{record['loss']}{staged}"]
                 assert stimulus.picture == f"renders/{material.name}-ward-{record['loss']}{staged}.png"
-                assert stimulus.difference == record["differences"]["delta_e"]
+                assert stimulus.difference == record["differences"]["delta_e76"]
                 assert stimulus.outlier == record["outlier"]
 
 

@@ -71,7 +71,7 @@ def test_gradients_reach_every_parameter(large: Scene, name: str, kind: str) -> 
     torch.manual_seed(0)
     start = {"roughness": 0.2, "exponent": 30.0, "f0": 0.4, "specular": [0.3, 0.2, 0.25], "distribution": 0.5}
     lobe = LOBES[kind]
-    own = {key: start.get(key, bounded.start) for key, bounded in lobe.declared.items()}
+    own = {key: start.get(key, bounded.start) for key, bounded in lobe.parameter_specs.items()}
     model = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), lobe(**own, dtype=torch.float64)).to(dtype=torch.float64)  # type: ignore[arg-type]
     loss = RenderedLoss(large, name)
     pairs = large.pairs.to(dtype=torch.float64)
@@ -80,7 +80,7 @@ def test_gradients_reach_every_parameter(large: Scene, name: str, kind: str) -> 
     def error() -> Tensor:
         return loss(model(pairs)[None] if model(pairs).dim() == 2 else model(pairs), target, pairs)
 
-    parameters = [parameter for part in model.parts() for parameter in part.parameters()]
+    parameters = [parameter for part in model.components() for parameter in part.parameters()]
     gradients = torch.autograd.grad(error(), parameters)
     for parameter, gradient in zip(parameters, gradients, strict=True):
         direction = torch.rand_like(parameter) + 0.1
@@ -111,13 +111,13 @@ def test_the_parabola_touches_the_loss(small: Scene, name: str) -> None:
         assert (loss.value(first + step, target) <= above * (1 + 1e-3)).all()
 
 
-@pytest.mark.parametrize("name", ["delta_e", "log_hdr", "ssim"])
+@pytest.mark.parametrize("name", ["delta_e76", "log_hdr", "ssim"])
 @pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
 def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, kind: str) -> None:
     loss = RenderedLoss(small, name)
     model = make_model(kind, 2, dtype=torch.float64).batched(2)
     with torch.no_grad():
-        for part, roughness in zip(model.parts()[1:], (0.1, 0.3), strict=True):
+        for part, roughness in zip(model.components()[1:], (0.1, 0.3), strict=True):
             part.roughness.fill_(roughness)
     measured = Measured(Painted([mixture(0.2), mixture(0.3)])).to(dtype=torch.float64)
     problem = loss.problem(measured)
@@ -141,7 +141,7 @@ def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, 
 
 
 @pytest.mark.parametrize(
-    ("strategy", "name"), [("global", "delta_e"), ("global", "log_hdr"), ("global", "ssim"), ("staged", "psnr")]
+    ("strategy", "name"), [("global", "delta_e76"), ("global", "log_hdr"), ("global", "ssim"), ("staged", "psnr")]
 )
 @pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
 def test_a_fit_finds_what_was_drawn(small: Scene, strategy: str, name: str, kind: str) -> None:
@@ -155,10 +155,10 @@ def test_a_fit_finds_what_was_drawn(small: Scene, strategy: str, name: str, kind
     measured = Measured(Painted(truth))  # type: ignore[arg-type]
     result = fit(make_model(kind, 1), measured, RenderedLoss(small, name), strategy=strategy, diffuse="fit")
     assert result.loss == f"rendered_{name}"
-    found = [result.model.parts()[1].roughness[k].item() for k in range(2)]
+    found = [result.model.components()[1].roughness[k].item() for k in range(2)]
     for k, lobe in enumerate(lobes):
         assert found[k] == pytest.approx(lobe.roughness.item(), rel=2e-2)
-    torch.testing.assert_close(result.model.parts()[0].albedo, torch.tensor(diffuse), atol=5e-3, rtol=0)
+    torch.testing.assert_close(result.model.components()[0].albedo, torch.tensor(diffuse), atol=5e-3, rtol=0)
     if strategy == "global" and name != "ssim":
         assert result.status == [Status.CONVERGED] * 2
 
@@ -178,9 +178,9 @@ def test_one_tone_map_for_all(small: Scene) -> None:
     first, second = values(small, mixture(0.1)), values(small, mixture(0.2))
     pictures = small.transport @ torch.cat([first, second])
     tone = ToneMap.from_images(pictures, small.mask.expand(2, 24, 24))
-    found = RenderedLoss(small, "delta_e", tone=tone)(first, second, small.pairs).item()
+    found = RenderedLoss(small, "delta_e76", tone=tone)(first, second, small.pairs).item()
     shown = tone(pictures)
-    expected = DIFFERENCES["delta_e"]()(shown[:1], shown[1:], small.mask).item()
+    expected = DIFFERENCES["delta_e76"]()(shown[:1], shown[1:], small.mask).item()
     assert found == pytest.approx(expected, rel=1e-4)
 
 
@@ -201,6 +201,8 @@ def test_what_it_refuses(small: Scene) -> None:
         RenderedLoss(small, "delta")
     with pytest.raises(UsageError, match="ms_ssim needs pictures of 161 pixels"):
         RenderedLoss(small, "ms_ssim")
+    with pytest.raises(UsageError, match="without a reduction, found 'mean'"):
+        RenderedLoss(small, DIFFERENCES["log_hdr"](reduction="mean"))
     with pytest.raises(UsageError, match="no subsets"):
         loss.problem(Measured(Painted([mixture()])), torch.arange(3))
     with pytest.raises(ShapeError, match="no weights"):
@@ -210,7 +212,7 @@ def test_what_it_refuses(small: Scene) -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-@pytest.mark.parametrize("name", ["delta_e", "ssim"])
+@pytest.mark.parametrize("name", ["delta_e76", "ssim"])
 def test_a_gpu_sees_what_the_cpu_sees(small: Scene, name: str) -> None:
     loss = RenderedLoss(small, name)
     prediction, target = values(small, mixture(0.2)), values(small, mixture(0.1))

@@ -128,8 +128,8 @@ def test_geometry_is_shared_and_the_order_kept(small: Scene) -> None:
 def test_batched_lobes_draw_every_material(small: Scene) -> None:
     lobe = Sum(Lambert(), Ward()).batched(3).double()
     with torch.no_grad():
-        for part, value in zip(lobe.parts(), (0.1, 0.2), strict=True):
-            for name in part.declared:
+        for part, value in zip(lobe.components(), (0.1, 0.2), strict=True):
+            for name in part.parameter_specs:
                 getattr(part, name).copy_(torch.tensor([[1.0], [2.0], [3.0]]) * value / 3)
     pictures = render(lobe, small)
     assert pictures.shape == (3, 12, 12, 3)

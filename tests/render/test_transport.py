@@ -55,7 +55,7 @@ def dense(transport: Transport) -> Tensor:
 def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[DirectionalLight | PointLight, ...]) -> None:
     """Within what bins cost, dB after tone mapping, and in all energy."""
     scene = make(48, punctual_lights=punctual_lights)
-    assert scene.pairs.above.all()
+    assert scene.pairs.above_horizon.all()
     found, expected = scene.transport @ on(scene), render([*MATERIALS.values()], scene)
     for name, one, other in zip(MATERIALS, found, expected, strict=True):
         tone = ToneMap.from_images(other, scene.mask)

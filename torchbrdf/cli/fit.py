@@ -16,7 +16,7 @@ Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or fol
 
   torchbrdf fit nickel.binary --model ward --lobes 2 --loss cuberoot
   torchbrdf fit MERL/ --model cook_torrance --loss cosine --out fits/
-  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e --diffuse fit
+  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76 --diffuse fit
 
 The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
 and it goes on from there.
@@ -33,7 +33,9 @@ def add(commands: Commands) -> None:
         "--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ..., rendered"
     )
     parser.add_argument(
-        "--difference", default="delta_e", help="of a rendered loss: delta_e (default), log_hdr, psnr, ssim, flip, ..."
+        "--difference",
+        default="delta_e76",
+        help="of a rendered loss: delta_e76 (default), log_hdr, psnr, ssim, flip, ...",
     )
     parser.add_argument("--environment", default="grove", help="of a rendered loss: grove (default), studio, or a file")
     parser.add_argument("--shape", default="blob", help="of a rendered loss: blob (default), sphere, or a mesh file")

@@ -18,7 +18,7 @@ from torchbrdf.pairs import Pairs
 def applies(model: Lobe, loss: Loss) -> bool:
     """Whether the model and the loss have the form that is used here."""
     known = loss.analytic or isinstance(loss, GroupedLoss | ObservedLoss)
-    return all(part.color() is not None for part in model.parts()) and known
+    return all(part.albedo_spec() is not None for part in model.components()) and known
 
 
 class Columns:
@@ -27,7 +27,7 @@ class Columns:
     def __init__(self, model: Lobe, values: Values, variables: list[Variable], parts: list[int]) -> None:
         self.values, self.variables = values, variables
         self.moved = {(variable.part, variable.bounded.name) for variable in variables}
-        lobes = [(k, model.parts()[k], _color(model.parts()[k])) for k in parts]
+        lobes = [(k, model.components()[k], _color(model.components()[k])) for k in parts]
         self.lobes = sorted(lobes, key=lambda lobe: (lobe[0], lobe[2]) not in self.moved)
         scalars = [(k, bounded.name) for k, lobe, _ in self.lobes for bounded in lobe.scalars()]
         # The columns: derivatives by scalars that move, s of lobes whose colour does, s of the others; these two are
@@ -51,10 +51,10 @@ class Columns:
             names = [bounded.name for bounded in lobe.scalars()]
             scalars = [here[k, name].to(dtype) for name in names]
             if not names or any((k, name) in self.moved for name in names):
-                shape, *tangents = type(lobe).linearized(pairs, *scalars)
+                shape, *tangents = type(lobe).value_and_jacobian(pairs, *scalars)
                 slopes += [slope for slope, name in zip(tangents, names, strict=True) if (k, name) in self.moved]
             else:
-                shape = type(lobe).white(pairs, *scalars)
+                shape = type(lobe).unit_response(pairs, *scalars)
             shapes.append(shape)
         return slopes + shapes
 
@@ -101,7 +101,7 @@ class ErrorOfFits:
 
 
 def _color(lobe: Lobe) -> str:
-    color = lobe.color()
+    color = lobe.albedo_spec()
     if color is None:
         raise ValueError(f"{type(lobe).__name__} is no colour times a scalar function")
     return color.name

@@ -63,7 +63,7 @@ def fit(
         _set_diffuse(model, measured)
     subset = stratified(len(measured.pairs), samples, seed) if loss.subsets else None
     packed = model.pack().clamp(*model.bounds)
-    moved = sum(one.size for part, one in model.slots() if diffuse == "fit" or not isinstance(part, Lambert))
+    moved = sum(one.size for part, one in model.named_specs() if diffuse == "fit" or not isinstance(part, Lambert))
 
     def fit_some(rows: list[int]) -> _Fitted:
         part = model.unpack(packed[rows])
@@ -144,7 +144,9 @@ def _check_start(model: Lobe) -> dict[int, str]:
     lower, upper = model.bounds
     packed = model.pack()
     outside = (packed < lower) | (packed > upper) | ~packed.isfinite()
-    names = [f"{type(part).__name__}.{bounded.name}" for part, bounded in model.slots() for _ in range(bounded.size)]
+    names = [
+        f"{type(part).__name__}.{bounded.name}" for part, bounded in model.named_specs() for _ in range(bounded.size)
+    ]
     found: dict[int, str] = {}
     for material, k in outside.nonzero().tolist():
         expected = f"{lower[k].item():g} to {upper[k].item():g}"
@@ -156,7 +158,7 @@ def _check_start(model: Lobe) -> dict[int, str]:
 
 
 def _set_diffuse(model: Lobe, measured: Measured) -> None:
-    diffuse = [part for part in model.parts() if isinstance(part, Lambert)]
+    diffuse = [part for part in model.components() if isinstance(part, Lambert)]
     if len(diffuse) > 1:
         raise ShapeError(f"fit: expected at most one Lambert lobe, found {len(diffuse)}")
     for part in diffuse:

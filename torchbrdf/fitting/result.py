@@ -114,10 +114,10 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     count = -1
     found: list[str] = []
     names: list[str | None] = []
-    for part in model.parts():
+    for part in model.components():
         held = isinstance(part, Lambert)
         count += not held
-        for name, bounded in part.declared.items():
+        for name, bounded in part.parameter_specs.items():
             names += [None if held and not diffuse else "diffuse" if held else f"{name}[{count}]"] * bounded.size
     for label, value, low, high in zip(names, packed.tolist(), lower.tolist(), upper.tolist(), strict=True):
         close = 1e-6 * max(abs(low), abs(high))

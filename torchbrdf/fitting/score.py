@@ -92,12 +92,12 @@ def _predict(model: Lobe, pairs: Pairs) -> Tensor:
     """`model(pairs)`, `(M, N, 3)`; where that is colours times scalars, as a product that lies channel by channel."""
     shapes: list[Tensor] = []
     colors: list[Tensor] = []
-    for part in model.parts():
-        color = part.color()
+    for part in model.components():
+        color = part.albedo_spec()
         if color is None:
             return model(pairs)
         albedo: Tensor = getattr(part, color.name)
-        shape = type(part).white(pairs, *(getattr(part, bounded.name) for bounded in part.scalars()))
+        shape = type(part).unit_response(pairs, *(getattr(part, bounded.name) for bounded in part.scalars()))
         shapes.append(shape.expand(len(albedo), -1))
         colors.append(albedo)
     return torch.bmm(torch.stack(colors, 2), torch.stack(shapes, 1)).transpose(1, 2)

@@ -16,7 +16,7 @@ from torchbrdf.fitting.observed import Observations
 from torchbrdf.fitting.quadratic import minimize_quadratic
 from torchbrdf.fitting.solve import Task
 from torchbrdf.fitting.variables import Values
-from torchbrdf.lobes import Bounded, Lobe
+from torchbrdf.lobes import BoundedParameter, Lobe
 from torchbrdf.pairs import Pairs
 
 # Shapes a lobe.
@@ -43,7 +43,7 @@ def seeds(task: Task, values: Values, fit_diffuse: bool, wanted: int) -> Values:
             target = target - values[k, "albedo"].double()[..., None] * task.look(flat)[:, 0]
     kinds: list[_Kind] = []
     for k in task.specular:
-        lobe = task.model.parts()[k]
+        lobe = task.model.components()[k]
         same = [kind for kind in kinds if type(kind.lobe) is type(lobe)]
         kinds.append(same[0] if same else _Kind(lobe, problem.pairs, sum(map(len, atoms))))
         atoms += [] if same else [kinds[-1].atoms]
@@ -78,7 +78,7 @@ class _Kind:
             named = {one.name: _from_unit(one, self.grid[:, i]) for i, one in enumerate(self.shapes)}
             named |= {one.name: place.new_full((len(self.grid),), v) for one, v in zip(self.affine, end, strict=True)}
             scalars = [named[bounded.name][:, None].to(pairs.dtype) for bounded in lobe.scalars()]
-            columns.append(type(lobe).linearized(pairs, *scalars)[0].expand(len(self.grid), -1).double())
+            columns.append(type(lobe).value_and_jacobian(pairs, *scalars)[0].expand(len(self.grid), -1).double())
         self.atoms = torch.stack(columns, 1).flatten(0, 1)
 
     def columns(self, picked: Tensor) -> Tensor:
@@ -87,7 +87,7 @@ class _Kind:
         return self.first + picked[..., None] * len(self.ends) + ends
 
 
-def _from_unit(bounded: Bounded, place: Tensor) -> Tensor:
+def _from_unit(bounded: BoundedParameter, place: Tensor) -> Tensor:
     """A value within the bounds from 0 to 1 on the scale that solvers use."""
     if bounded.log:
         return bounded.lower * (place * math.log(bounded.upper / bounded.lower)).exp()
@@ -136,7 +136,8 @@ def _search(gram: Tensor, right: Tensor, kinds: list[_Kind], base: int) -> tuple
 
 def _factors(gram: Tensor, right: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
     """The factors of the columns `used`, `(M, C, q)`, for each channel, `(M, 3, C, q)`, from 0 to 1; and the error of
-    the combination but for a constant, `(M, C)`."""
+    the combination but for a constant, `(M, C)`.
+    """
     materials, _, size = used.shape
     gram = gram.expand(materials, 3, -1, -1)
     m = torch.arange(materials, device=used.device)[:, None, None]
@@ -186,7 +187,7 @@ def _values(
             put(k, "albedo", factor[..., 0])
         factor = factor[..., 1:]
     for i, (k, kind) in enumerate(zip(task.specular, kinds, strict=True)):
-        color = kind.lobe.color()
+        color = kind.lobe.albedo_spec()
         assert color is not None
         own, factor = factor.split([len(kind.ends), factor.shape[-1] - len(kind.ends)], -1)
         put(k, color.name, own.sum(-1).clamp(color.lower, color.upper))

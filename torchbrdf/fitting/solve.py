@@ -119,12 +119,12 @@ class Task:
     @property
     def diffuse(self) -> list[int]:
         """Which parts are diffuse."""
-        return [k for k, part in enumerate(self.model.parts()) if isinstance(part, Lambert)]
+        return [k for k, part in enumerate(self.model.components()) if isinstance(part, Lambert)]
 
     @property
     def specular(self) -> list[int]:
         """Which are not."""
-        return [k for k, part in enumerate(self.model.parts()) if not isinstance(part, Lambert)]
+        return [k for k, part in enumerate(self.model.components()) if not isinstance(part, Lambert)]
 
     @property
     def parts(self) -> list[int]:
@@ -142,7 +142,9 @@ class Task:
 
     def variables(self, parts: list[int]) -> list[Variable]:
         """All parameters of these parts."""
-        return [Variable(k, one, one.size) for k in parts for one in self.model.parts()[k].declared.values()]
+        return [
+            Variable(k, one, one.size) for k in parts for one in self.model.components()[k].parameter_specs.values()
+        ]
 
 
 def solve(task: Task, values: Values, variables: list[Variable], parts: list[int]) -> tuple[Values, Solution]:

@@ -54,4 +54,4 @@ class Outcome:
 
 Strategy = Callable[[Task, Values, bool], Outcome]
 
-STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting")
+STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies")

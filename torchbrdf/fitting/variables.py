@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes import Bounded, Lobe
+from torchbrdf.lobes import BoundedParameter, Lobe
 from torchbrdf.pairs import Pairs
 
 # A parameter's values for M materials, by part and name: (M, *shape), or (M, 1) where one number serves all channels.
@@ -14,13 +14,17 @@ Values = dict[tuple[int, str], Tensor]
 
 def values_of(model: Lobe) -> Values:
     """The parameters of a batched model, detached."""
-    return {(k, name): getattr(part, name).detach() for k, part in enumerate(model.parts()) for name in part.declared}
+    return {
+        (k, name): getattr(part, name).detach()
+        for k, part in enumerate(model.components())
+        for name in part.parameter_specs
+    }
 
 
 def put_values(model: Lobe, values: Values) -> None:
     """Write values back into a batched model, spreading a single number over the channels."""
     for (k, name), value in values.items():
-        parameter = getattr(model.parts()[k], name)
+        parameter = getattr(model.components()[k], name)
         parameter.data = value.expand_as(parameter).to(parameter).clone()
 
 
@@ -28,8 +32,8 @@ def evaluate(model: Lobe, values: Values, pairs: Pairs, parts: list[int]) -> Ten
     """The sum of some of the model's parts with these values, `(M, N, 3)` (or 1 channel, if all have only one)."""
     total: Tensor | None = None
     for k in parts:
-        part = model.parts()[k]
-        part_values = type(part).function(pairs, *(values[k, name] for name in part.declared))
+        part = model.components()[k]
+        part_values = type(part).function(pairs, *(values[k, name] for name in part.parameter_specs))
         total = part_values if total is None else total + part_values
     if total is None:
         raise ValueError("evaluate: no parts")
@@ -41,7 +45,7 @@ class Variable:
     """A parameter that the solver moves: of which part, and with how many numbers a material."""
 
     part: int
-    bounded: Bounded
+    bounded: BoundedParameter
     width: int
 
     def encode(self, values: Values) -> Tensor:

@@ -1,8 +1,9 @@
 """What a BRDF is made of: lobes, as functions of Pairs and as torch modules. A lobe a file."""
 
-from torchbrdf.lobes.abc_distribution import Abc, abc, dielectric
+from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
+from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
 from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
@@ -16,21 +17,23 @@ from torchbrdf.lobes.ward import Ward, ward
 
 __all__ = [
     "LOBES",
-    "Abc",
     "AshikhminShirley",
     "BlinnPhong",
-    "Bounded",
+    "BoundedParameter",
     "CookTorrance",
     "DistributionBased",
     "Lambert",
     "Lobe",
+    "LowABC",
     "ShiftedGamma",
     "Sum",
     "Ward",
     "abc",
+    "albedo",
+    "apply_albedo",
     "ashikhmin_shirley",
     "blinn_phong",
-    "color",
+    "clamp_cosine",
     "cook_torrance",
     "dielectric",
     "distribution_based",

@@ -5,30 +5,62 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.shape import colored, decay, log_secant, v_groove
+from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_secant, v_groove
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
 from torchbrdf.pairs import Pairs
 
 
 def abc(pairs: Pairs, amplitude: Tensor, sharpness: Tensor, exponent: Tensor, ior: Tensor) -> Tensor:
-    """amplitude * S G F / (pi cos_i cos_o), with S = 1 / (1 + B (1 - cos_h))^C.
+    """The microfacet lobe of Low et al. 2012: amplitude * S G F / (pi cos_i cos_o), S = 1 / (1 + B (1 - cos_h))^C.
 
-    amplitude: A `(..., 3)`, the height of S, which is not normalized; sharpness: B `(..., 1)`; exponent: C
-    `(..., 1)`; ior: a real index of refraction `(..., 1)`, of which F is `dielectric`. G is the shadowing of
-    Cook-Torrance. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    F is `dielectric`, G the shadowing of Cook-Torrance.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        amplitude: A `(..., 3)`, the height of S, which is not normalized.
+        sharpness: B `(..., 1)`.
+        exponent: C `(..., 1)`.
+        ior: a real index of refraction `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: J. Low, J. Kronander, A. Ynnerman and J. Unger, BRDF Models for Accurate and Efficient Rendering of Glossy
     Surfaces, 2012, doi:10.1145/2077341.2077350, the microfacet model; with the 1/pi of its supplement's fits, which
     the paper's equation does not have (github.com/bsdfbenchmark/bbm, include/bsdfmodel/lowmicrofacet.h).
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import abc
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([1.0, 2.0, 3.0])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> abc(pairs, colour, *torch.tensor([[100.0], [1.0], [1.5]]))
+        tensor([[0.0046, 0.0092, 0.0139]])
     """
-    return colored(pairs, _facets(pairs, sharpness, exponent) * dielectric(ior, pairs.cos_d), amplitude)
+    return apply_albedo(pairs, _facets(pairs, sharpness, exponent) * dielectric(ior, pairs.cos_d), amplitude)
 
 
 def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
-    """Fresnel's reflectance of unpolarized light for a real index of refraction n, from 1 on.
+    """Fresnel's reflectance of unpolarized light for a real index of refraction n.
 
     1/2 a^2 (1 + b^2), with g^2 = n^2 - 1 + cos_d^2, a = (g - cos_d) / (g + cos_d) and
-    b = (cos_d (g + cos_d) - 1) / (cos_d (g - cos_d) + 1). ior broadcasts against cos_d.
+    b = (cos_d (g + cos_d) - 1) / (cos_d (g - cos_d) + 1).
+
+    Args:
+        ior: n, from 1 on; broadcasts against cos_d.
+        cos_d: cosine of the angle of incidence.
+
+    Returns:
+        The reflectance, in [0, 1].
+
     Source: R. Cook and K. Torrance, A Reflectance Model for Computer Graphics, 1982, doi:10.1145/357290.357293.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.lobes import dielectric
+        >>> dielectric(torch.tensor(1.5), torch.tensor([1.0, 0.5, 0.0]))
+        tensor([0.0400, 0.0892, 1.0000])
     """
     _, a, b = _fresnel_terms(ior, cos_d)
     return 0.5 * a.square() * (1 + b.square())
@@ -43,31 +75,49 @@ def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return g, less / total, (cos_d * total - 1) / (cos_d * less + 1)
 
 
-def _drop(pairs: Pairs) -> Tensor:
+def one_minus_cos_h(pairs: Pairs) -> Tensor:
     """1 - cos_h, with all digits where cos_h is near 1."""
-    return pairs.keep("drop", lambda: -torch.expm1(-0.5 * log_secant(pairs)))
+    return pairs.cached(one_minus_cos_h, lambda: -torch.expm1(-0.5 * log_secant(pairs)))
 
 
 def _facets(pairs: Pairs, sharpness: Tensor, exponent: Tensor) -> Tensor:
     """S G / (pi cos_i cos_o)."""
-    return decay(-exponent * torch.log1p(sharpness * _drop(pairs))) * (v_groove(pairs) / math.pi)
+    return clamped_exp(-exponent * torch.log1p(sharpness * one_minus_cos_h(pairs))) * (v_groove(pairs) / math.pi)
 
 
 @LOBES.register("abc")
-class Abc(Lobe):
-    """A microfacet lobe with the ABC distribution of Low et al. 2012, whose tails are those of many measurements."""
+class LowABC(Lobe):
+    """A microfacet lobe with the ABC distribution of Low et al. 2012, whose tails are those of many measurements.
 
-    amplitude = color(start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel")
-    sharpness = Bounded(start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe")
-    exponent = Bounded(start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls")
-    ior = Bounded(start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real")
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import LowABC
+        >>> LowABC(ior=1.7)
+        LowABC(amplitude=[10, 10, 10], sharpness=1000, exponent=1, ior=1.7)
+    """
+
+    amplitude: BoundedParameter = albedo(
+        start=10.0, upper=10_000.0, doc="A, the height of the distribution, per channel"
+    )
+    sharpness: BoundedParameter = BoundedParameter(
+        start=1000.0, lower=1.0, upper=1e7, log=True, doc="B, the sharpness of the lobe"
+    )
+    exponent: BoundedParameter = BoundedParameter(
+        start=1.0, lower=0.01, upper=10.0, log=True, doc="C, how fast the tail falls"
+    )
+    ior: BoundedParameter = BoundedParameter(
+        start=1.5, lower=1.02, upper=100.0, log=True, doc="index of refraction, real"
+    )
     function = staticmethod(abc)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dB = -shape C (1 - cos_h) / (1 + B (1 - cos_h)), d/dC = -shape log(1 + B (1 - cos_h)), and d/d(ior)."""
         sharpness, exponent, ior = scalars
-        drop, cos_d = _drop(pairs), pairs.cos_d
+        drop, cos_d = one_minus_cos_h(pairs), pairs.cos_d
         facets = _facets(pairs, sharpness, exponent)
         g, a, b = _fresnel_terms(ior, cos_d)
         shape = facets * (0.5 * a.square() * (1 + b.square()))

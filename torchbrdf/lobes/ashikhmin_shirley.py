@@ -5,47 +5,79 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import fresnel, grazing
-from torchbrdf.lobes.shape import colored, decay, floored, log_secant
+from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, log_secant
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
 
 
 def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tensor) -> Tensor:
-    """specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
+    """The isotropic Ashikhmin-Shirley lobe: specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
 
-    F is Schlick's Fresnel. specular: albedo `(..., 3)`; exponent: m `(..., 1)`; f0 `(..., 1)`.
-    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    F is Schlick's Fresnel.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo `(..., 3)`.
+        exponent: m `(..., 1)`.
+        f0: reflectance at normal incidence `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the paper's eq. 2 and 3; M. Ashikhmin and P. Shirley, An Anisotropic Phong BRDF Model, 2000,
     doi:10.1080/10867651.2000.10487522.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import ashikhmin_shirley
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> ashikhmin_shirley(pairs, colour, torch.tensor([50.0]), torch.tensor([0.3]))
+        tensor([[0.0227, 0.0454, 0.0681]])
     """
-    return colored(pairs, _power(pairs, exponent) * fresnel(f0, pairs), specular)
+    return apply_albedo(pairs, _power(pairs, exponent) * fresnel(f0, pairs), specular)
 
 
 def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
     """(m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o))."""
 
     def geometry() -> Tensor:
-        return 1 / (floored(pairs.cos_d) * torch.maximum(floored(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
+        return 1 / (clamp_cosine(pairs.cos_d) * torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
 
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
-    return decay(log_secant(pairs) * (-0.5 * exponent)) * (pairs.keep("ashikhmin", geometry) * (exponent + 1))
+    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached(_power, geometry) * (exponent + 1))
 
 
 @LOBES.register("ashikhmin_shirley")
 class AshikhminShirley(Lobe):
-    """The isotropic Ashikhmin-Shirley lobe (eq. 2 and 3), with the start and bounds of the paper's Table 1."""
+    """The isotropic Ashikhmin-Shirley lobe (eq. 2 and 3), with the start and bounds of the paper's Table 1.
 
-    specular = color(start=0.5, doc="specular albedo, per channel")
-    exponent = Bounded(start=5.0, lower=0.001, upper=50000.0, log=True, doc="m, the sharpness of the lobe")
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import AshikhminShirley
+        >>> AshikhminShirley(exponent=50.0)
+        AshikhminShirley(specular=[0.5, 0.5, 0.5], exponent=50, f0=0.3)
+    """
+
+    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    exponent: BoundedParameter = BoundedParameter(
+        start=5.0, lower=0.001, upper=50000.0, log=True, doc="m, the sharpness of the lobe"
+    )
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(ashikhmin_shirley)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dm = shape (1 / (m + 1) + log(cos_h)), d/dF0 = shape / F (1 - (1 - cos_d)^5)."""
         exponent, f0 = scalars
         power = _power(pairs, exponent)
         shape = power * fresnel(f0, pairs)
         slope = torch.add(1 / (exponent + 1), log_secant(pairs), alpha=-0.5)
-        return [shape, shape * slope, power * (1 - grazing(pairs))]
+        return [shape, shape * slope, power * (1 - schlick_weight(pairs))]

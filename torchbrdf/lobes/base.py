@@ -1,33 +1,56 @@
 """What a lobe is: a function of Pairs with bounded parameters, and its module form."""
 
 import copy
+import inspect
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self, overload
+from dataclasses import InitVar, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform, overload
 
 import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
-LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes")
+LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes", "torchbrdf.lobes")
+
+Value = Tensor | float | list[float]
+"""What a parameter can be set to: a tensor, a number for every entry, or a list."""
 
 # torch's forward differentiation has one level for all threads.
 _FORWARD = threading.Lock()
 
 
 @dataclass
-class Bounded:
-    """A parameter of a lobe, declared once: where a fit starts, its bounds, and what it means.
+class BoundedParameter:
+    """A parameter of a lobe, declared once as a class attribute: where a fit starts, its bounds, and what it means.
 
-    `shape` is (3,) for a colour, (1,) for a scalar. `linear` says that the lobe's value is proportional to it
-    (an albedo), `affine` that it is a constant plus something proportional to it (Schlick's F0); what is neither is
-    a shape. `log` asks solvers to move it on a logarithmic scale, for a range of many decades.
+    On a lobe the attribute is the parameter itself, a tensor; on its class it is this declaration.
+
+    Args:
+        start: where a fit starts.
+        lower: the least value of a fit.
+        upper: the largest value of a fit.
+        doc: what it means, in a few words.
+        shape: `(1,)` for a scalar, `(3,)` for one value a channel.
+        linear: the lobe's value is proportional to it, as to an albedo.
+        affine: the lobe's value is a constant plus something proportional to it, as with Schlick's F0.
+        log: solvers move it on a logarithmic scale, for a range of many decades.
+
+    Raises:
+        UsageError: lower <= start <= upper does not hold, or lower is not above 0 on a logarithmic scale.
+
+    Example:
+        >>> from torchbrdf.lobes import BoundedParameter, Ward
+        >>> Ward.roughness.lower, Ward.roughness.upper
+        (0.001, 0.5)
+        >>> Ward(roughness=0.3).roughness
+        Parameter containing:
+        tensor([0.3000], requires_grad=True)
     """
 
     start: float
@@ -45,13 +68,13 @@ class Bounded:
         if not self.lower <= self.start <= self.upper or (self.log and self.lower <= 0):
             found = f"lower {self.lower:g}, start {self.start:g}, upper {self.upper:g}"
             above = "0 < " if self.log else ""
-            raise ShapeError(f"{owner.__name__}.{name}: expected {above}lower <= start <= upper, found {found}")
+            raise UsageError(f"{owner.__name__}.{name}: expected {above}lower <= start <= upper, found {found}")
 
     @overload
-    def __get__(self, lobe: None, owner: type) -> "Bounded": ...
+    def __get__(self, lobe: None, owner: type) -> "BoundedParameter": ...
     @overload
     def __get__(self, lobe: "Lobe", owner: type) -> Tensor: ...
-    def __get__(self, lobe: "Lobe | None", owner: type) -> "Bounded | Tensor":
+    def __get__(self, lobe: "Lobe | None", owner: type) -> "BoundedParameter | Tensor":
         if lobe is None:
             return self
         try:
@@ -59,143 +82,314 @@ class Bounded:
         except KeyError:
             raise AttributeError(f"{owner.__name__} has no {self.name} yet") from None
 
+    def __set__(self, lobe: "Lobe", value: Value) -> None:
+        where, like = f"{type(lobe).__name__}.{self.name}", lobe._parameters.get(self.name)
+        if isinstance(value, Tensor) and value.requires_grad:
+            raise UsageError(f"{where}: expected a number or a tensor without a graph, found one that requires_grad")
+        value = self.expand(value, where, like.dtype if like is not None else None)
+        if like is not None:
+            value = value.to(like.device).expand(like.shape if value.dim() < like.dim() else value.shape)
+        setattr(lobe, self.name, nn.Parameter(value.clone()))
+
+    def expand(self, value: Value, where: str, dtype: torch.dtype | None = None) -> Tensor:
+        """A value as a tensor `(..., *shape)`.
+
+        Args:
+            value: a number for every entry, or what broadcasts to `shape` behind leading dimensions.
+            where: whose it is, for messages.
+            dtype: of the result; None: the value's own, or torch's default if it has none.
+
+        Returns:
+            The tensor, a view where possible.
+
+        Raises:
+            ShapeError: it does not broadcast.
+            UsageError: it is no number, tensor or list of numbers.
+        """
+        try:
+            tensor = torch.as_tensor(value)
+        except (TypeError, ValueError, RuntimeError):
+            raise UsageError(f"{where}: expected a number, a tensor or a list, found {type(value).__name__}") from None
+        tensor = tensor.to(dtype or (tensor.dtype if tensor.is_floating_point() else torch.get_default_dtype()))
+        try:
+            lead = tensor.shape[: max(tensor.dim() - len(self.shape), 0)]
+            return tensor.expand(*lead, *self.shape)
+        except RuntimeError:
+            expected = ", ".join(map(str, self.shape))
+            raise ShapeError(f"{where}: expected (..., {expected}), found {(*tensor.shape,)}") from None
+
     @property
     def size(self) -> int:
         """How many numbers a material has."""
         return math.prod(self.shape)
 
 
-def color(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, doc: str) -> Bounded:
-    """An albedo: linear, from 0 to 1, one value a channel."""
-    return Bounded(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
+def albedo(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, doc: str) -> BoundedParameter:
+    """Declare an albedo: a `BoundedParameter` that is linear, from 0 on, one value a channel.
+
+    Args:
+        shape: of one material's values.
+        start: where a fit starts.
+        upper: the largest value of a fit.
+        doc: what it means, in a few words.
+
+    Returns:
+        The declaration, a `BoundedParameter`.
+
+    Example:
+        >>> from torchbrdf.lobes import Ward
+        >>> Ward.specular.linear, Ward.specular.shape
+        (True, (3,))
+    """
+    return BoundedParameter(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
 
 
-class Lobe(nn.Module):
-    """A BRDF or a part of one: `lobe(pairs)` gives values in 1/sr, `(..., N, 3)`, without the cosine.
+@dataclass_transform(kw_only_default=True, eq_default=False)
+class _Declared(nn.Module):
+    """A module whose class attributes are the arguments of its constructor, which type checkers and editors see so."""
 
-    A subclass declares its parameters as `Bounded` class attributes and names its functional form:
+
+class Lobe(_Declared):
+    """A BRDF or a part of one: `lobe(pairs)` gives values in 1/sr, without the cosine.
+
+    A subclass declares its parameters as `BoundedParameter` class attributes, which are also the arguments of its
+    constructor, and names its functional form:
 
         @LOBES.register("ward")
         class Ward(Lobe):
-            specular = color(start=0.5, doc="...")
-            roughness = Bounded(start=0.01, lower=0.001, upper=0.5, doc="...")
+            specular: BoundedParameter = albedo(start=0.5, doc="...")
+            roughness: BoundedParameter = BoundedParameter(start=0.01, lower=0.001, upper=0.5, doc="...")
             function = staticmethod(ward)
 
-    Parameters have the shape `(k,)`, or `(M, k)` after `batched(M)`. A value at construction may be a number, for
-    every channel, or anything that broadcasts to the declared shape behind leading dimensions.
+    Parameters have the shape `(k,)`, or `(M, k)` after `batched(M)`. They can be set to what the constructor takes:
+    `lobe.roughness = 0.3`.
+
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: for each declared parameter a number for every channel, or what broadcasts to its shape behind leading
+            dimensions; its start if it is not given.
+
+    Raises:
+        UsageError: a parameter is not declared.
+        ShapeError: a value does not broadcast to the declared shape.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import Ward
+        >>> lobe = Ward(specular=[0.3, 0.2, 0.1], roughness=0.1)
+        >>> lobe
+        Ward(specular=[0.3, 0.2, 0.1], roughness=0.1)
+        >>> up = torch.tensor([[0.0, 0.0, 1.0]])
+        >>> lobe(Pairs.from_directions(up, up)).shape
+        torch.Size([1, 3])
     """
 
-    declared: ClassVar[dict[str, Bounded]] = {}
+    parameter_specs: ClassVar[dict[str, BoundedParameter]] = {}
+    """The declared parameters by name, those of base classes first."""
     function: ClassVar[Callable[..., Tensor]]
+    """The functional form: `function(pairs, *parameters)`, `(..., N, 3)`."""
+    __signature__: ClassVar[inspect.Signature]
+    if TYPE_CHECKING:
+        dtype: InitVar[torch.dtype | None] = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Bounded)}
-        cls.declared = {**cls.declared, **own}
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, BoundedParameter)}
+        cls.parameter_specs = {**cls.parameter_specs, **own}
+        cls.__signature__ = _signature(cls)
 
-    def __init__(self, *, dtype: torch.dtype | None = None, **values: Tensor | float | list[float]) -> None:
+    def __init__(self, *, dtype: torch.dtype | None = None, **values: Value) -> None:
         super().__init__()
-        extra = sorted(set(values) - set(self.declared))
-        if extra:
-            known = ", ".join(self.declared)
-            raise ShapeError(f"{type(self).__name__}: unknown parameter {extra[0]!r}; expected {known}")
-        for name, bounded in self.declared.items():
-            value = torch.as_tensor(values.get(name, bounded.start))
-            value = value.to(dtype or (value.dtype if value.is_floating_point() else torch.get_default_dtype()))
-            try:
-                lead = value.shape[: max(value.dim() - len(bounded.shape), 0)]
-                value = value.expand(*lead, *bounded.shape)
-            except RuntimeError:
-                where = f"{type(self).__name__}.{name}"
-                raise ShapeError(
-                    f"{where}: expected (..., {', '.join(map(str, bounded.shape))}), found {(*value.shape,)}"
-                ) from None
+        for name in sorted(set(values) - set(self.parameter_specs)):
+            known = ", ".join(self.parameter_specs)
+            raise UsageError(f"{type(self).__name__}: unknown parameter {name!r}; expected {known}")
+        for name, spec in self.parameter_specs.items():
+            value = spec.expand(values.get(name, spec.start), f"{type(self).__name__}.{name}", dtype)
             self.register_parameter(name, nn.Parameter(value.clone()))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Plain values of parameters become parameters, which modules of torch refuse."""
+        spec = self.parameter_specs.get(name)
+        if spec is None or isinstance(value, nn.Parameter):
+            super().__setattr__(name, value)
+        else:
+            spec.__set__(self, value)
+
+    def extra_repr(self) -> str:
+        """The parameters: their values, or the shape of many."""
+        return ", ".join(f"{name}={_shown(getattr(self, name), spec)}" for name, spec in self.parameter_specs.items())
 
     def forward(self, pairs: Pairs) -> Tensor:
         """Values on pairs, `(..., N, 3)`."""
-        return type(self).function(pairs, *(getattr(self, name) for name in self.declared))
+        return type(self).function(pairs, *(getattr(self, name) for name in self.parameter_specs))
 
     @classmethod
-    def color(cls) -> "Bounded | None":
-        """The linear colour of a lobe that is one colour times a scalar function of pairs and scalars, else None."""
-        colors = [bounded for bounded in cls.declared.values() if bounded.linear and bounded.shape == (3,)]
-        rest = [bounded for bounded in cls.declared.values() if bounded not in colors]
-        return colors[0] if len(colors) == 1 and all(bounded.size == 1 for bounded in rest) else None
+    def albedo_spec(cls) -> "BoundedParameter | None":
+        """The declaration of the albedo of a lobe that is one albedo times a scalar function of pairs and scalars.
+
+        Returns:
+            The only linear parameter of the shape `(3,)` where all others are scalars; None of any other lobe.
+
+        Example:
+            >>> from torchbrdf.lobes import LowABC, ShiftedGamma
+            >>> LowABC.albedo_spec().name, ShiftedGamma.albedo_spec()
+            ('amplitude', None)
+        """
+        albedos = [spec for spec in cls.parameter_specs.values() if spec.linear and spec.shape == (3,)]
+        rest = [spec for spec in cls.parameter_specs.values() if spec not in albedos]
+        return albedos[0] if len(albedos) == 1 and all(spec.size == 1 for spec in rest) else None
 
     @classmethod
-    def scalars(cls) -> list["Bounded"]:
-        """The other parameters of such a lobe."""
-        return [bounded for bounded in cls.declared.values() if bounded is not cls.color()]
+    def scalars(cls) -> list["BoundedParameter"]:
+        """The declarations of a lobe's parameters other than the albedo.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward
+            >>> [spec.name for spec in Ward.scalars()]
+            ['roughness']
+        """
+        return [spec for spec in cls.parameter_specs.values() if spec is not cls.albedo_spec()]
 
     @classmethod
-    def white(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
-        """The scalar function of such a lobe, its values where its colour is 1, `(..., N)`."""
-        color = cls.color()
-        if color is None:
-            raise ShapeError(f"{cls.__name__} is no colour times a scalar function")
+    def unit_response(cls, pairs: Pairs, *scalars: Tensor) -> Tensor:
+        """Values of a lobe where its albedo is 1.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`.
+            scalars: the other parameters, `(..., 1)` each, in the order of `scalars()`.
+
+        Returns:
+            Values in 1/sr, `(..., N)`.
+
+        Raises:
+            UsageError: the lobe is no albedo times a scalar function.
+
+        Example:
+            >>> import math, torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import Lambert
+            >>> up = torch.tensor([[0.0, 0.0, 1.0]])
+            >>> Lambert.unit_response(Pairs.from_directions(up, up)) * math.pi
+            tensor([1.])
+        """
+        colour = cls.albedo_spec()
+        if colour is None:
+            raise UsageError(f"{cls.__name__}: expected an albedo times a scalar function, found a lobe that is none")
         one = torch.ones_like(scalars[0]) if scalars else pairs.cos_i.new_ones(1)
-        named = dict(zip((bounded.name for bounded in cls.scalars()), scalars, strict=True))
-        return cls.function(pairs, **{color.name: one}, **named)[..., 0]
+        named = dict(zip((spec.name for spec in cls.scalars()), scalars, strict=True))
+        return cls.function(pairs, **{colour.name: one}, **named)[..., 0]
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
-        """`white`, and its derivative by each of `scalars`, `(..., N)` all.
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """Values of a lobe where its albedo is 1, and their derivatives by each of its scalars.
 
-        Where both directions are above the horizon. By forward differentiation, unless a lobe knows a shorter way.
+        By forward differentiation, unless a lobe knows a shorter way.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`; below the horizon the result means nothing.
+            scalars: the other parameters, `(..., 1)` each, in the order of `scalars()`.
+
+        Returns:
+            `unit_response` and one derivative for each scalar, `(..., N)` all.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import Ward
+            >>> angle = torch.full((2, 5), 0.1)
+            >>> columns = Ward.value_and_jacobian(Pairs.from_half_diff(angle, angle, angle), torch.tensor([0.2]))
+            >>> [column.shape for column in columns]
+            [torch.Size([2, 5]), torch.Size([2, 5])]
         """
         found: list[Tensor] = []
         for k, moved in enumerate(scalars):
             with _FORWARD, forward_ad.dual_level():
                 dual = forward_ad.make_dual(moved, torch.ones_like(moved))
                 own = [dual if i == k else other for i, other in enumerate(scalars)]
-                value, tangent = forward_ad.unpack_dual(cls.white(pairs, *own))
+                value, tangent = forward_ad.unpack_dual(cls.unit_response(pairs, *own))
             found = found or [value]
             found.append(torch.zeros_like(value) if tangent is None else tangent)
-        return found or [cls.white(pairs)]
+        return found or [cls.unit_response(pairs)]
 
-    def parts(self) -> list["Lobe"]:
+    def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""
         return [self]
 
     def batched(self, materials: int) -> Self:
-        """A copy with its own parameters for each of M materials, `(M, k)`."""
+        """A copy with parameters of its own for each of M materials.
+
+        Args:
+            materials: M.
+
+        Returns:
+            The copy, whose parameters are `(M, *shape)`.
+
+        Raises:
+            ShapeError: it is batched already, for another number of materials.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward
+            >>> Ward().batched(4)
+            Ward(specular=<4 x 3>, roughness=<4 x 1>)
+        """
         made = copy.deepcopy(self)
-        for part in made.parts():
-            for name, bounded in part.declared.items():
+        for part in made.components():
+            for name, spec in part.parameter_specs.items():
                 value = getattr(part, name).detach()
-                if value.dim() > len(bounded.shape) and value.shape[0] not in (1, materials):
+                if value.dim() > len(spec.shape) and value.shape[0] not in (1, materials):
                     raise ShapeError(f"{type(part).__name__}.{name}: {value.shape[0]} materials, not {materials}")
-                value = value.expand(materials, *bounded.shape).clone()
+                value = value.expand(materials, *spec.shape).clone()
                 setattr(part, name, nn.Parameter(value))
         return made
 
-    def slots(self) -> list[tuple["Lobe", Bounded]]:
+    def named_specs(self) -> list[tuple["Lobe", BoundedParameter]]:
         """Every parameter of every part, in the order of `pack`."""
-        return [(part, bounded) for part in self.parts() for bounded in part.declared.values()]
+        return [(part, spec) for part in self.components() for spec in part.parameter_specs.values()]
 
     def pack(self) -> Tensor:
         """All parameters beside each other, `(M, P)`, detached; `(P,)` if not batched."""
         values = [
-            getattr(part, bounded.name).detach().flatten(start_dim=-len(bounded.shape))
-            for part, bounded in self.slots()
+            getattr(part, spec.name).detach().flatten(start_dim=-len(spec.shape)) for part, spec in self.named_specs()
         ]
         return torch.cat(values, -1)
 
     def unpack(self, packed: Tensor) -> Self:
         """A copy with the parameters of `packed`, as `pack` orders them, `(..., P)`."""
-        sizes = [bounded.size for _, bounded in self.slots()]
+        sizes = [spec.size for _, spec in self.named_specs()]
         if packed.shape[-1:] != (sum(sizes),):
             raise ShapeError(f"unpack: expected (..., {sum(sizes)}), found {(*packed.shape,)}")
         made = copy.deepcopy(self)
-        for (part, bounded), value in zip(made.slots(), packed.detach().split(sizes, -1), strict=True):
-            setattr(part, bounded.name, nn.Parameter(value.reshape(*value.shape[:-1], *bounded.shape).clone()))
+        for (part, spec), value in zip(made.named_specs(), packed.detach().split(sizes, -1), strict=True):
+            setattr(part, spec.name, nn.Parameter(value.reshape(*value.shape[:-1], *spec.shape).clone()))
         return made
 
     @property
     def bounds(self) -> tuple[Tensor, Tensor]:
         """Lower and upper bounds, `(P,)` each, in the order of `pack`."""
-        lower = [torch.full((bounded.size,), bounded.lower) for _, bounded in self.slots()]
-        upper = [torch.full((bounded.size,), bounded.upper) for _, bounded in self.slots()]
+        lower = [torch.full((spec.size,), spec.lower) for _, spec in self.named_specs()]
+        upper = [torch.full((spec.size,), spec.upper) for _, spec in self.named_specs()]
         like = self.pack()
         return torch.cat(lower).to(like), torch.cat(upper).to(like)
+
+
+def _signature(lobe: type[Lobe]) -> inspect.Signature:
+    """The arguments of a lobe's constructor, as `help` and editors that run the code show them."""
+    if lobe.__init__ is not Lobe.__init__:
+        return inspect.Signature(list(inspect.signature(lobe.__init__).parameters.values())[1:])
+    own = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=spec.start, annotation=Value)
+        for name, spec in lobe.parameter_specs.items()
+    ]
+    kind = torch.dtype | None
+    return inspect.Signature(
+        [*own, inspect.Parameter("dtype", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)]
+    )
+
+
+def _shown(value: Tensor, spec: BoundedParameter) -> str:
+    """Values with four digits, or a shape, as <4 x 3>."""
+    if value.shape != spec.shape or spec.size > 3:
+        return f"<{' x '.join(map(str, value.shape))}>"
+    shown = [f"{one:.4g}" for one in value.flatten().tolist()]
+    return shown[0] if spec.size == 1 else f"[{', '.join(shown)}]"

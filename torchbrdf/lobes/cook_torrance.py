@@ -5,45 +5,84 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import fresnel, grazing
-from torchbrdf.lobes.shape import colored, decay, log_secant, tangent, v_groove, width_slope
+from torchbrdf.lobes._microfacet import (
+    apply_albedo,
+    clamped_exp,
+    log_beckmann_derivative,
+    log_secant,
+    tangent,
+    v_groove,
+)
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
 
 
 def cook_torrance(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor) -> Tensor:
-    """specular * D G F / (pi cos_i cos_o).
+    """The Cook-Torrance lobe with Beckmann's distribution: specular * D G F / (pi cos_i cos_o).
 
     D = exp(-tan2_h / m^2) / (m^2 cos_h^4) (Beckmann), G = min(1, 2 cos_h cos_o / cos_d, 2 cos_h cos_i / cos_d),
-    F = Schlick's Fresnel. specular: albedo `(..., 3)`; roughness: m `(..., 1)`; f0 `(..., 1)`.
-    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    F = Schlick's Fresnel.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo `(..., 3)`.
+        roughness: m `(..., 1)`.
+        f0: reflectance at normal incidence `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the paper's eq. 4 to 6; R. Cook and K. Torrance, A Reflectance Model for Computer Graphics, 1982,
     doi:10.1145/357290.357293.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import cook_torrance
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> cook_torrance(pairs, colour, torch.tensor([0.1]), torch.tensor([0.3]))
+        tensor([[0.0185, 0.0369, 0.0554]])
     """
-    return colored(pairs, _facets(pairs, roughness) * fresnel(f0, pairs), specular)
+    return apply_albedo(pairs, _facets(pairs, roughness) * fresnel(f0, pairs), specular)
 
 
 def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
     """D G / (pi cos_i cos_o)."""
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
     inverse = roughness.square().reciprocal()
-    exponent = torch.addcmul(pairs.keep("beckmann", lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
-    return decay(exponent) * (v_groove(pairs) * (inverse / math.pi))
+    exponent = torch.addcmul(pairs.cached(_facets, lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
+    return clamped_exp(exponent) * (v_groove(pairs) * (inverse / math.pi))
 
 
 @LOBES.register("cook_torrance")
 class CookTorrance(Lobe):
-    """Cook-Torrance with Beckmann's distribution (eq. 4 to 6), with the start and bounds of the paper's Table 1."""
+    """Cook-Torrance with Beckmann's distribution (eq. 4 to 6), with the start and bounds of the paper's Table 1.
 
-    specular = color(start=0.5, doc="specular albedo, per channel")
-    roughness = Bounded(start=0.02, lower=0.001, upper=1.0, log=True, doc="m, the rms slope of the microfacets")
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import CookTorrance
+        >>> CookTorrance(roughness=0.1, f0=0.04)
+        CookTorrance(specular=[0.5, 0.5, 0.5], roughness=0.1, f0=0.04)
+    """
+
+    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    roughness: BoundedParameter = BoundedParameter(
+        start=0.02, lower=0.001, upper=1.0, log=True, doc="m, the rms slope of the microfacets"
+    )
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(cook_torrance)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dm = shape (2 tan2_h / m^3 - 2 / m), d/dF0 = D G (1 - (1 - cos_d)^5) / (pi cos_i cos_o)."""
         roughness, f0 = scalars
         facets = _facets(pairs, roughness)
         shape = facets * fresnel(f0, pairs)
-        return [shape, shape * width_slope(pairs, roughness), facets * (1 - grazing(pairs))]
+        return [shape, shape * log_beckmann_derivative(pairs, roughness), facets * (1 - schlick_weight(pairs))]

@@ -5,23 +5,39 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe
+from torchbrdf.lobes._microfacet import v_groove
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.fresnel import fresnel
-from torchbrdf.lobes.shape import v_groove
 from torchbrdf.pairs import Pairs
 
 NODES = 90
 
 
 def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor:
-    """D(theta_h) G F / (4 cos_i cos_o), with a tabulated D for each channel.
+    """A microfacet lobe with a tabulated distribution for each channel: D(theta_h) G F / (4 cos_i cos_o).
 
-    distribution: `(..., K, 3)`, D at theta_h = ((k + 0.5) / K)^2 pi/2 (MERL's spacing, dense at the highlight),
-    linear in between and constant outside; it holds the specular albedo. G is the shadowing of Cook-Torrance (eq. 6),
-    F Schlick's Fresnel with f0 `(..., 1)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    The table is linear in between and constant outside; it holds the specular albedo. G is the shadowing of
+    Cook-Torrance (eq. 6), F Schlick's Fresnel.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        distribution: `(..., K, 3)`, D at theta_h = ((k + 0.5) / K)^2 pi/2 (MERL's spacing, dense at the highlight).
+        f0: reflectance at normal incidence `(..., 1)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the paper's references [1], M. Ashikhmin and S. Premoze, Distribution-based BRDFs, 2007, and [8],
     W. Matusik et al., Printing Spatially-varying Reflectance, 2009, doi:10.1145/1618452.1618474; their form of the
     shadowing, 1 / (cos_i + cos_o - cos_i cos_o), fits MERL-like tables worse (recipes/make_standins.py).
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import distribution_based
+        >>> angle = torch.full((1,), 0.2)
+        >>> distribution_based(Pairs.from_half_diff(angle, angle, angle), torch.ones(90, 3), torch.tensor([0.3]))
+        tensor([[0.0814, 0.0814, 0.0814]])
     """
     nodes = distribution.shape[-2]
     position = (pairs.theta_h / (math.pi / 2)).clamp(0, 1).sqrt() * nodes - 0.5
@@ -30,7 +46,7 @@ def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor
     share = (position - low)[..., None]
     table = _at(distribution, low) * (1 - share) + _at(distribution, low + 1) * share
     geometry = v_groove(pairs) / 4 * fresnel(f0, pairs)
-    return table * torch.where(pairs.above, geometry, 0)[..., None]
+    return table * torch.where(pairs.above_horizon, geometry, 0)[..., None]
 
 
 def _at(distribution: Tensor, index: Tensor) -> Tensor:
@@ -44,9 +60,19 @@ def _at(distribution: Tensor, index: Tensor) -> Tensor:
 
 @LOBES.register("distribution_based")
 class DistributionBased(Lobe):
-    """A microfacet lobe with a tabulated distribution for each channel, Fresnel and shadowing."""
+    """A microfacet lobe with a tabulated distribution for each channel, Fresnel and shadowing.
 
-    distribution = Bounded(
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import DistributionBased
+        >>> DistributionBased(f0=0.04)
+        DistributionBased(distribution=<90 x 3>, f0=0.04)
+    """
+
+    distribution: BoundedParameter = BoundedParameter(
         start=0.01,
         lower=1e-6,
         upper=1e6,
@@ -55,5 +81,7 @@ class DistributionBased(Lobe):
         log=True,
         doc="D at MERL's theta_h, per channel",
     )
-    f0 = Bounded(start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence")
+    f0: BoundedParameter = BoundedParameter(
+        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
+    )
     function = staticmethod(distribution_based)

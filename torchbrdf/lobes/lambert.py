@@ -5,28 +5,54 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Lobe, color
-from torchbrdf.lobes.shape import colored
+from torchbrdf.lobes import base
+from torchbrdf.lobes._microfacet import apply_albedo
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.pairs import Pairs
 
 
 def lambert(pairs: Pairs, albedo: Tensor) -> Tensor:
-    """albedo / pi.
+    """Diffuse reflection: albedo / pi.
 
-    albedo: `(..., 3)`. Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        albedo: diffuse albedo `(..., 3)`.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: the diffuse term of the paper's eq. 11.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import lambert
+        >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
+        >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+        >>> lambert(pairs, colour)
+        tensor([[0.0318, 0.0637, 0.0955]])
     """
-    return colored(pairs, torch.full_like(pairs.cos_i, 1 / math.pi), albedo)
+    return apply_albedo(pairs, torch.full_like(pairs.cos_i, 1 / math.pi), albedo)
 
 
 @LOBES.register("lambert")
 class Lambert(Lobe):
-    """Diffuse reflection: albedo / pi."""
+    """Diffuse reflection: albedo / pi.
 
-    albedo = color(start=0.5, doc="diffuse albedo, per channel")
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import Lambert
+        >>> Lambert(albedo=[0.3, 0.2, 0.1])
+        Lambert(albedo=[0.3, 0.2, 0.1])
+    """
+
+    albedo: BoundedParameter = base.albedo(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
 
     @classmethod
-    def linearized(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """1 / pi."""
-        return [pairs.keep("lambert", lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]
+        return [pairs.cached(lambert, lambda: torch.full_like(pairs.cos_i, 1 / math.pi))]

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.sum import Sum
 
@@ -15,7 +15,24 @@ DIFFUSE = "diffuse"
 
 
 def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> Sum:
-    """Lambert plus so many lobes of a registered kind, each parameter at its declared start (the paper's eq. 11)."""
+    """Make a model to fit: Lambert plus lobes of a registered kind, each parameter at its start (the paper's eq. 11).
+
+    Args:
+        name: a registered lobe, our own or another package's.
+        lobes: how many of it.
+        dtype: of the parameters; torch's default if not given.
+
+    Returns:
+        The sum.
+
+    Raises:
+        UsageError: the name is unknown or that of Lambert, or there are no lobes.
+
+    Example:
+        >>> from torchbrdf.lobes import make_model
+        >>> make_model("ward", lobes=1).components()
+        [Lambert(albedo=[0.5, 0.5, 0.5]), Ward(specular=[0.5, 0.5, 0.5], roughness=0.01)]
+    """
     if lobes < 1:
         raise UsageError(f"lobes: expected at least 1, found {lobes}")
     kind = LOBES[name]
@@ -25,35 +42,86 @@ def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> S
 
 
 def model_name(model: Lobe) -> tuple[str, int]:
-    """The registered name of a model's specular lobes, and how many it has: what `make_model` made it from."""
-    first, *rest = model.parts()
+    """The registered name of a model's specular lobes and how many it has: what `make_model` made it from.
+
+    Args:
+        model: Lambert plus lobes of one registered kind.
+
+    Returns:
+        The name and the count.
+
+    Raises:
+        UsageError: it is something else.
+
+    Example:
+        >>> from torchbrdf.lobes import make_model, model_name
+        >>> model_name(make_model("ward", lobes=2))
+        ('ward', 2)
+    """
+    first, *rest = model.components()
     kinds = {type(part) for part in rest}
     if not isinstance(first, Lambert) or len(kinds) != 1:
-        shown = " + ".join(type(part).__name__ for part in model.parts())
+        shown = " + ".join(type(part).__name__ for part in model.components())
         raise UsageError(f"model: expected Lambert plus lobes of one kind, found {shown}")
     kind = kinds.pop()
-    return next(name for name, lobe in LOBES.items() if lobe is kind), len(rest)
+    name = next((name for name, lobe in LOBES.items() if lobe is kind), None)
+    if name is None:
+        raise UsageError(f"model: expected lobes of a registered kind, found {kind.__name__}")
+    return name, len(rest)
 
 
 def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
-    """One material's parameters as plain lists: `diffuse`, and for every other name one value a lobe."""
-    first, *rest = model.parts()
-    found: dict[str, Any] = {DIFFUSE: _plain(first, first.declared["albedo"], material)}
-    for name, bounded in type(rest[0]).declared.items():
+    """One material's parameters as plain lists, as a `fits.json` has them.
+
+    Args:
+        model: Lambert plus lobes of one kind, batched or not.
+        material: which of a batch.
+
+    Returns:
+        `diffuse`, and for every other name a list with one value a lobe.
+
+    Example:
+        >>> from torchbrdf.lobes import Lambert, Sum, Ward, parameters
+        >>> parameters(Sum(Lambert(albedo=0.25), Ward(specular=0.5, roughness=0.125)))
+        {'diffuse': [0.25, 0.25, 0.25], 'specular': [[0.5, 0.5, 0.5]], 'roughness': [0.125]}
+    """
+    first, *rest = model.components()
+    found: dict[str, Any] = {DIFFUSE: _plain(first, first.parameter_specs["albedo"], material)}
+    for name, bounded in type(rest[0]).parameter_specs.items():
         found[name] = [_plain(part, bounded, material) for part in rest]
     return found
 
 
 def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | None = None) -> Sum:
-    """The model that `parameters` describes, not batched. Values outside their bounds are kept as they are."""
+    """Make the model that `parameters` describes. Values outside their bounds are kept as they are.
+
+    Args:
+        name: the registered kind of its specular lobes.
+        values: `diffuse` and, for each parameter of that kind, a list with one value a lobe.
+        dtype: of the parameters; torch's default if not given.
+
+    Returns:
+        The sum, not batched.
+
+    Raises:
+        DataError: the names or counts are not those of the kind, or values are no numbers.
+
+    Example:
+        >>> from torchbrdf.lobes import from_parameters
+        >>> values = {"diffuse": [0.3, 0.2, 0.1], "specular": [[0.5, 0.5, 0.5]], "roughness": [0.125]}
+        >>> from_parameters("ward", values).components()[1]
+        Ward(specular=[0.5, 0.5, 0.5], roughness=0.125)
+    """
     kind = LOBES[name]
-    wanted = {DIFFUSE, *kind.declared}
+    wanted = {DIFFUSE, *kind.parameter_specs}
     if set(values) != wanted:
         raise DataError(
             f"parameters of {name}: expected {', '.join(sorted(wanted))}, found {', '.join(sorted(values))}"
         )
     try:
-        lists = {key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.declared}
+        lists = {
+            key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.parameter_specs
+        }
         diffuse = torch.tensor(values[DIFFUSE], dtype=torch.float64)
     except (TypeError, ValueError) as error:
         raise DataError(f"parameters of {name}: expected numbers, found something else ({error})") from None
@@ -67,7 +135,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     return Sum(Lambert(albedo=diffuse, dtype=dtype), *lobes)
 
 
-def _plain(part: Lobe, bounded: Bounded, material: int) -> Any:
+def _plain(part: Lobe, bounded: BoundedParameter, material: int) -> Any:
     value: Tensor = getattr(part, bounded.name).detach()
     if value.dim() > len(bounded.shape):
         value = value[material]

@@ -1,13 +1,14 @@
 """The microfacet lobe with the shifted gamma distribution (SGD)."""
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes.base import LOBES, Bounded, Lobe, color
-from torchbrdf.lobes.fresnel import grazing
-from torchbrdf.lobes.shape import decay, log_secant, tangent
+from torchbrdf.lobes._microfacet import clamped_exp, log_secant, tangent
+from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.pairs import Pairs
 
 # Below this a product of cosines no longer changes a quotient.
@@ -29,7 +30,7 @@ def shifted_gamma(
     steepness: Tensor,
     onset: Tensor,
 ) -> Tensor:
-    """specular * D G(theta_i) G(theta_o) F / (pi cos_i cos_o), with parameters of their own for each channel.
+    """The shifted gamma lobe: specular * D G(theta_i) G(theta_o) F / (pi cos_i cos_o), each channel by itself.
 
     D = K exp(-t) / (pi t^p cos_h^4) with t = alpha + tan2_h / alpha. It is normalized where K is
     1 / (alpha Gamma(1 - p, alpha)), with the upper incomplete gamma function; all published K are.
@@ -37,26 +38,48 @@ def shifted_gamma(
     Published c go from 1e-8 to 1e109 and k to 856; here c is reach^-k, so that the exponent is ((theta - theta0) /
     reach)^k, which loses nothing in float32. F = F0 + (1 - F0) (1 - cos_d)^5 - F1 cos_d. G and F are not below 0.
 
-    specular: albedo; alpha: width, squared; p: how fast the tail falls; normalization: K; f0, f1: F0, F1; shadow:
-    Lambda; reach: c^(-1/k), radians; steepness: k; onset: theta0, radians; `(..., 3)` each.
-    Result in 1/sr, `(..., N, 3)`, zero below the horizon.
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        specular: albedo, `(..., 3)` as all that follow.
+        alpha: width, squared.
+        p: how fast the tail falls.
+        normalization: K.
+        f0: F0.
+        f1: F1.
+        shadow: Lambda.
+        reach: c^(-1/k), radians.
+        steepness: k.
+        onset: theta0, radians.
+
+    Returns:
+        Values in 1/sr, `(..., N, 3)`, zero below the horizon.
+
     Source: M. Bagher, C. Soler and N. Holzschuch, Accurate Fitting of Measured Reflectances Using a Shifted Gamma
     Micro-facet Distribution, 2012, doi:10.1111/j.1467-8659.2012.03147.x.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.lobes import ShiftedGamma, shifted_gamma
+        >>> angle = torch.full((1,), 0.2)
+        >>> starts = [torch.full((3,), spec.start) for spec in ShiftedGamma.parameter_specs.values()]
+        >>> shifted_gamma(Pairs.from_half_diff(angle, angle, angle), *starts)
+        tensor([[0.0053, 0.0053, 0.0053]])
     """
     alpha, p, steepness = alpha[..., None, :], p[..., None, :], steepness[..., None, :]
     f0, f1 = f0[..., None, :], f1[..., None, :]
     shadow, reach, onset = shadow[..., None, :], reach[..., None, :], onset[..., None, :]
     spread = alpha + tangent(pairs)[..., None] / alpha
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
-    facets = decay(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
-    fresnel = (f0 + (1 - f0) * grazing(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
+    facets = clamped_exp(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
+    fresnel = (f0 + (1 - f0) * schlick_weight(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
     lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
     for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):
-        theta = pairs.keep(name, lambda cosine=cosine: _angle(cosine))[..., None]  # type: ignore[misc]
+        theta = pairs.cached(_angle, partial(_angle, cosine), name)[..., None]
         # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
         power = steepness * ((theta - onset).clamp_min(1e-30) / reach).log()
         facets = facets * (1 - shadow * torch.expm1(power.clamp_max(COMPLETE).exp())).clamp_min(0)
-    shape = facets * fresnel * torch.where(pairs.above, lit, 0)[..., None]
+    shape = facets * fresnel * torch.where(pairs.above_horizon, lit, 0)[..., None]
     return shape * (specular * normalization)[..., None, :]
 
 
@@ -71,16 +94,37 @@ class ShiftedGamma(Lobe):
 
     As no colour times a scalar function, it is fitted by the general solver: the staged procedure, then all parameters
     together. The value depends on the product of `specular` and `normalization` only, and fits move both.
+
+    Args:
+        dtype: of the parameters; by default the values' own, or torch's.
+        values: the parameters declared below, each a number or what broadcasts to its shape; its start if not given.
+
+    Example:
+        >>> from torchbrdf.lobes import ShiftedGamma
+        >>> ShiftedGamma(p=0.75).p.tolist()
+        [0.75, 0.75, 0.75]
     """
 
-    specular = color(start=0.1, upper=5.0, doc="specular albedo, per channel")
-    alpha = Bounded(start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared")
-    p = Bounded(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
-    normalization = Bounded(start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution")
-    f0 = Bounded(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
-    f1 = Bounded(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
-    shadow = Bounded(start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing")
-    reach = Bounded(start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians")
-    steepness = Bounded(start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing")
-    onset = Bounded(start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians")
+    specular: BoundedParameter = albedo(start=0.1, upper=5.0, doc="specular albedo, per channel")
+    alpha: BoundedParameter = BoundedParameter(
+        start=0.05, lower=1e-5, upper=1.0, shape=(3,), log=True, doc="width of the lobe, squared"
+    )
+    p: BoundedParameter = BoundedParameter(start=0.5, lower=0.0, upper=2.0, shape=(3,), doc="how fast the tail falls")
+    normalization: BoundedParameter = BoundedParameter(
+        start=10.0, lower=1.0, upper=1e5, shape=(3,), log=True, doc="K of the distribution"
+    )
+    f0: BoundedParameter = BoundedParameter(start=0.1, lower=0.0, upper=10.0, shape=(3,), doc="F0 of the Fresnel term")
+    f1: BoundedParameter = BoundedParameter(start=0.0, lower=-1.0, upper=8.0, shape=(3,), doc="F1 of the Fresnel term")
+    shadow: BoundedParameter = BoundedParameter(
+        start=3.0, lower=1e-8, upper=1e8, shape=(3,), log=True, doc="Lambda, the depth of the shadowing"
+    )
+    reach: BoundedParameter = BoundedParameter(
+        start=1.5, lower=0.3, upper=2.5, shape=(3,), log=True, doc="c^(-1/k) of the shadowing, radians"
+    )
+    steepness: BoundedParameter = BoundedParameter(
+        start=20.0, lower=1.0, upper=1000.0, shape=(3,), log=True, doc="k of the shadowing"
+    )
+    onset: BoundedParameter = BoundedParameter(
+        start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians"
+    )
     function = staticmethod(shifted_gamma)

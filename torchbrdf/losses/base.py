@@ -11,7 +11,7 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
-LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses")
+LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
 
 Reduction = Literal["none", "mean", "sum"]
 
@@ -142,7 +142,8 @@ class Loss(nn.Module):
 
     def remembered(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
         """make(), what is compared of a target, kept for when the same tensor comes again, unchanged and on the same
-        pairs, as it does in every step of a fit."""
+        pairs, as it does in every step of a fit.
+        """
         if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
             return make()
         kept = self._aimed

@@ -16,7 +16,8 @@ KEPT = 1 << 24
 
 class Grouping(NamedTuple):
     """shares: how much of each pair is in each group, `(..., N, G)`; held: what the groups hold, with their fading,
-    `(..., 1, G)`, float64; profile: how much the square of each difference counts, `(..., N, C)`."""
+    `(..., 1, G)`, float64; profile: how much the square of each difference counts, `(..., N, C)`.
+    """
 
     shares: Tensor
     held: Tensor

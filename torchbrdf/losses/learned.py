@@ -105,7 +105,7 @@ def cosines(pairs: Pairs | None) -> Tensor:
     """cos_i cos_o as a column `(..., N, 1)`, 0 below the horizon."""
     if pairs is None:
         raise ShapeError("pairs are needed for cos_i and cos_o")
-    return pairs.keep("cosines", lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
+    return pairs.cached(cosines, lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
 
 
 def encode(values: Tensor, pairs: Pairs | None) -> Tensor:
@@ -139,7 +139,8 @@ def luminance(values: Tensor) -> Tensor:
 
 def contrasts(means: Tensor) -> Tensor:
     """Averages `(..., C, BINS)` as those of luminance and of each channel's chroma, and then their differences between
-    two bins of theta_h, `(..., 1 + C, BINS + differences)`."""
+    two bins of theta_h, `(..., 1 + C, BINS + differences)`.
+    """
     lightness = (luminance(means.mT) @ means)[..., None, :]
     means = torch.cat([lightness, means - lightness], -2)
     one, other = torch.tensor(HEIGHTS, device=means.device).unbind(1)
@@ -149,7 +150,8 @@ def contrasts(means: Tensor) -> Tensor:
 
 def factor(weight: Tensor, channels: int) -> Tensor:
     """The matrix whose product with averages, flat, has the square that is M + K; weight: `(2, K)`, of luminance and
-    chroma."""
+    chroma.
+    """
     unit = torch.eye(channels * BINS, dtype=weight.dtype, device=weight.device).unflatten(-1, (channels, BINS))
     root = torch.cat([weight[:1], weight[1:].expand(channels, -1)]).sqrt()
     return (contrasts(unit) * root).flatten(-2)

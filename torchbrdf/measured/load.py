@@ -1,5 +1,6 @@
 """From paths to measured materials: which format a file has is told by its content."""
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -8,7 +9,9 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured.measured import FORMATS, Measured
+from torchbrdf.measured.measured import FORMATS, Measured, BrdfFormat
+
+log = logging.getLogger("torchbrdf")
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -85,10 +88,26 @@ def format_of(path: Path) -> str | None:
             head = file.read(64)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    for name, source in FORMATS.items():
-        if head and source.recognises(path, head):
+    for name, source in sorted(FORMATS.items(), key=lambda item: not _ours(item[1])):  # ours before others'
+        if head and _recognises(name, source, path, head):
             return name
     return next((name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes), None)
+
+
+def _ours(source: type[BrdfFormat]) -> bool:
+    return source.__module__.startswith("torchbrdf.")
+
+
+def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) -> bool:
+    """Whether a file is of a format; another package's that fails on a file does not know it."""
+    try:
+        return source.recognises(path, head)
+    except Exception as error:
+        if _ours(source):
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        log.warning("torchbrdf: format %r of %s failed on %s: %s", name, source.__module__, path, reason)
+        return False
 
 
 def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:

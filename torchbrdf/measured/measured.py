@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.pairs import Pairs
+from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import Registry, unknown
 
 Interpolation = Literal["linear", "nearest"]
 
-FORMATS: Registry[type["BrdfFormat"]] = Registry("format", "torchbrdf.measured")
+FORMATS: Registry[type["BrdfFormat"]] = Registry("format", "torchbrdf.measured", "torchbrdf.formats")
 
 
 class Lookup(NamedTuple):
@@ -42,6 +42,8 @@ class BrdfFormat(ABC):
         paths: The file of each material.
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
         stand_in: Whether the values come from a model that stands in for a measurement.
+
+    A subclass gives `recognises`, `open` and `read`; and `at`, if it can do better than the nearest sample.
     """
 
     format: ClassVar[str]
@@ -77,19 +79,62 @@ class BrdfFormat(ABC):
             Values in 1/sr, `(m, n, 3)`, and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0.
         """
 
-    @abstractmethod
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon.
+        """Values at any pairs, zero below the horizon: here those of the nearest valid sample, whatever the interpolation.
 
         Args:
             pairs: `(1, N)`, or `(m, N)` with pairs of each material's own; dtype and device of the values are theirs.
             materials: Indices of m materials.
             interpolation: "linear" or "nearest".
         """
+        return nearest_samples(self, pairs, materials)
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
         return {}
+
+
+def nearest_samples(source: BrdfFormat, pairs: Pairs, materials: list[int]) -> Lookup:
+    """The values of the nearest valid samples, of isotropic materials.
+
+    Args:
+        source: where values are read.
+        pairs: where they are wanted, `(1, n)` or `(m, n)`.
+        materials: m of the source's materials.
+
+    Returns:
+        Values `(m, n, 3)`, zero below the horizon; those whose nearest sample was not valid are counted as filled.
+
+    Raises:
+        DataError: a material has no valid sample.
+    """
+    from scipy.spatial import KDTree
+
+    own, asked = _coordinates(source.pairs), _coordinates(pairs)
+    above = pairs.above_horizon.cpu()
+    found, filled = [], []
+    for row, material in enumerate(materials):
+        values, weight = (part[0] for part in source.read([material], slice(None)))
+        valid = weight[:, 0] > 0
+        if not valid.any():
+            raise DataError(f"{source.names[material]}: expected valid samples, found none")
+        points, wanted = own[material if len(own) > 1 else 0], asked[row if len(asked) > 1 else 0]
+        _, index = KDTree(points[valid]).query(wanted)
+        found.append(values[valid][torch.from_numpy(index)])
+        missed = torch.zeros(len(wanted), dtype=torch.bool)
+        if not valid.all():
+            _, nearest = KDTree(points).query(wanted)
+            missed = ~valid[torch.from_numpy(nearest)]
+        filled.append((missed & above[row if len(above) > 1 else 0]).sum())
+    values = torch.stack(found).to(pairs.device, pairs.dtype)
+    return Lookup(torch.where(pairs.above_horizon[..., None], values, 0), torch.stack(filled))
+
+
+def _coordinates(pairs: Pairs) -> Tensor:
+    """Where pairs `(m, n)` lie, `(m, n, 4)`, radians apart; phi_d and phi_d + pi are the same by reciprocity."""
+    theta_d, turn = pairs.theta_d.double().cpu(), 2 * pairs.phi_d.double().cpu()
+    around = torch.sin(theta_d) / 2
+    return torch.stack([pairs.theta_h.double().cpu(), theta_d, around * turn.cos(), around * turn.sin()], -1)
 
 
 class Samples(BrdfFormat):
@@ -105,11 +150,11 @@ class Samples(BrdfFormat):
             raise ShapeError(f"Measured: expected values (M, {len(pairs)}, 3), found {(*values.shape,)}")
         if names is not None and len(names) != len(values):
             raise ShapeError(f"Measured: {len(names)} names for {len(values)} materials")
-        valid = values.isfinite().all(-1, keepdim=True) & pairs.above[..., None]
+        valid = values.isfinite().all(-1, keepdim=True) & pairs.above_horizon[..., None]
         given = torch.ones_like(values[..., :1]) if weight is None else weight.to(values).expand(*values.shape[:2], 1)
         self.weight = torch.where(valid, given, 0)
         self.values = torch.where(self.weight > 0, values, 0)
-        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs._map(lambda value, _: value[None])
+        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs.unsqueeze()
         self.names = list(names) if names is not None else [f"material{k}" for k in range(len(values))]
         self.paths = []
 
@@ -246,8 +291,7 @@ class Measured:
         Raises:
             ShapeError: The angle is out of range.
         """
-        if not 0 < max_theta <= 90:
-            raise ShapeError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
+        check_max_theta(max_theta)
         limited = self._view(max_theta=min(max_theta, self.max_theta))
         pairs = self.source.pairs
         if max_theta < 90 and pairs.shape[0] == 1:
@@ -318,7 +362,7 @@ class Measured:
         if interpolation not in get_args(Interpolation):
             raise unknown("interpolation", interpolation, get_args(Interpolation))
         if len(pairs.shape) == 1:
-            pairs = pairs._map(lambda value, _: value[None])
+            pairs = pairs.unsqueeze()
         if len(pairs.shape) != 2 or pairs.shape[0] not in (1, len(self)):
             raise ShapeError(f"at: expected pairs ({len(self)} or 1, N), found {(*pairs.shape,)}")
         return self.source.at(pairs, self.materials, interpolation)

@@ -143,7 +143,7 @@ class Merl(BrdfFormat):
             for row, material in enumerate(materials):
                 if row < pairs.shape[0]:
                     own = chunk.select([row])
-                    above = own.above[0]
+                    above = own.above_horizon[0]
                     position = _position(own)
                     centre = nearest_rows(position, BINS)
                     if interpolation == "nearest":

@@ -163,7 +163,7 @@ class Rgl(BrdfFormat):
             for row, material in enumerate(materials):
                 if row < pairs.shape[0]:
                     own = chunk.select([row])
-                    above, cos_o = own.above[0], own.cos_o[0]
+                    above, cos_o = own.above_horizon[0], own.cos_o[0]
                     theta_i, x, y = _coordinates(own)
                 file = self._files[material]
                 cells, table = self._tables(material, pairs.dtype, pairs.device)

@@ -5,7 +5,7 @@ import math
 import torch
 
 from torchbrdf.errors import UsageError
-from torchbrdf.pairs import Pairs
+from torchbrdf.pairs import Pairs, check_max_theta
 
 
 def uniform_pairs(count: int = 6000, max_theta: float = 80.0, seed: int = 0) -> Pairs:
@@ -33,8 +33,7 @@ def uniform_pairs(count: int = 6000, max_theta: float = 80.0, seed: int = 0) -> 
     """
     if count < 1:
         raise UsageError(f"uniform_pairs: count: expected at least 1, found {count}")
-    if not 0 < max_theta <= 90:
-        raise UsageError(f"uniform_pairs: max_theta: expected above 0 and at most 90 degrees, found {max_theta}")
+    check_max_theta(max_theta)
     drawn = torch.rand(3, count, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     theta_i, theta_o = drawn[:2] * math.radians(max_theta)
     phi = drawn[2] * (2 * math.pi)

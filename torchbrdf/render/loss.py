@@ -18,7 +18,7 @@ from torchbrdf.render.transport.transport import Transport
 # Pixels that starts are compared by.
 _FEW = 1200
 # Stands in for differences that are no mean over pixels, while starts are tried.
-_STAND_IN = "delta_e"
+_STAND_IN = "delta_e76"
 
 
 class RenderedLoss(ObservedLoss):
@@ -36,7 +36,7 @@ class RenderedLoss(ObservedLoss):
     def __init__(
         self,
         scene: Scene,
-        difference: Difference | str = "delta_e",
+        difference: Difference | str = "delta_e76",
         *,
         tone: ToneMap | None = None,
         reduction: Reduction = "mean",
@@ -44,6 +44,9 @@ class RenderedLoss(ObservedLoss):
         super().__init__(reduction)
         self.difference = DIFFERENCES[difference]() if isinstance(difference, str) else difference
         self.tone = tone
+        if self.difference.reduction != "none":
+            found = self.difference.reduction
+            raise UsageError(f"RenderedLoss: expected a difference without a reduction, found {found!r}; give it here")
         least = self.difference.least_side
         if scene.size < least:
             name = self.difference.registered_name

@@ -43,7 +43,8 @@ def benefits(scales: Scales, plan: Plan, loss: str, other: str) -> list[Benefit]
 
 def claim(scales: Scales, plan: Plan) -> list[str]:
     """The paper's claim, that the cube root looks at least as close as the other metrics and more so for sharp lobes,
-    in sentences; none where the answers are not about it."""
+    in sentences; none where the answers are not about it.
+    """
     lines = []
     for other in OVER:
         found = benefits(scales, plan, CLAIMED, other)
@@ -88,7 +89,8 @@ def _by_gloss(found: Sequence[Benefit], plan: Plan, other: str) -> str:
 
 def confusions(scales: Scales, material: int) -> set[str]:
     """The stimuli that observers do not tell from the measured material: the 95 % interval of how much higher the
-    measured one stands holds 0, or all of it is below."""
+    measured one stands holds 0, or all of it is below.
+    """
     names = scales.stimuli[material]
     if MEASURED not in names:
         return set()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
-from torchbrdf.images.differences.delta_e import lab
+from torchbrdf.images.differences.delta_e76 import lab
 from torchbrdf.lobes import model_of
 from torchbrdf.parallel import thread_map
 from torchbrdf.render import Scene, render

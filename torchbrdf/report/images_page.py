@@ -17,7 +17,7 @@ from torchbrdf.report.labels import Cell, difference_label, loss_label, model_la
 from torchbrdf.report.study import Study, picture
 
 TITLE = "Which metric stands in for looking at pictures?"
-DELTA_E = "delta_e"
+DELTA_E = "delta_e76"
 
 
 def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, problems: Sequence[str]) -> Path:

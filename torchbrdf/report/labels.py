@@ -9,7 +9,7 @@ DIFFERENCE_LABELS = {
     "ssim": "SSIM",
     "ms_ssim": "MS-SSIM",
     "flip": "FLIP",
-    "delta_e": "ΔE 76",
+    "delta_e76": "ΔE 76",
     "delta_e2000": "ΔE 2000",
     "log_hdr": "log HDR",
     "compressed_hdr": "compressed HDR",

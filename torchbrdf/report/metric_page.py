@@ -23,7 +23,8 @@ Results = dict[str, dict[str, dict[str, list[float]]]]
 class MetricPage:
     """table and methods: results of `perception.learning.training.held_out`, with materials and with a method left out as
     well; metric: what `metric.json` holds; curves: `(trainings, iterations, 2)`; best: the iteration that is taken;
-    mark: what figures have to say."""
+    mark: what figures have to say.
+    """
 
     table: Results
     methods: Results

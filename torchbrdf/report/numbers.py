@@ -30,7 +30,8 @@ def best_counts(records: Records, losses: Iterable[str], difference: str) -> dic
 
 def agreement(records: Records, metric: str, difference: str) -> float:
     """How well a metric orders fits as an image difference does: Spearman's rank correlation over the fits of a
-    material, averaged over materials; 1 if always in the same order."""
+    material, averaged over materials; 1 if always in the same order.
+    """
     found = []
     for material in dict.fromkeys(record["material"] for record in records):
         own = [record for record in records if record["material"] == material]

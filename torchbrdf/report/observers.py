@@ -142,7 +142,8 @@ def write_scales(
     folder: Path, answers: Sequence[Answer], plan: Plan | None, *, method: Method, seed: int, source: str
 ) -> list[str]:
     """Scale the answers of every experiment; write `scales.csv`, `scales.json`, `observers.csv`, figures and
-    `scales.html` into a folder. Gives what they say, in lines."""
+    `scales.html` into a folder. Gives what they say, in lines.
+    """
     judged = judge(answers, plan, method, seed)
     mark = "; ".join(filter(None, [plan.mark if plan else "", SIMULATED_MARK if simulated(answers) else ""]))
     said = [observed(one, folder / "figures", mark) for one in judged]

@@ -22,8 +22,8 @@ from torchbrdf.render import Scene, render
 STANDINS = "stand-ins"
 REFERENCE = "reference"
 # Image differences that the report speaks of, by their registered names.
-SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e")
-DIFFERENCE = "delta_e"
+SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
+DIFFERENCE = "delta_e76"
 
 
 @dataclass
@@ -239,7 +239,8 @@ class Study:
 
 def gather(materials: str, folder: RunFolder, quick: bool) -> tuple[list[Measured], list[str]]:
     """The measured BRDFs of a file or a folder (or the stand-ins), two of each kind if it is to be quick, and what was
-    left out."""
+    left out.
+    """
     bad: list[DataError] = []
     groups = load_all(standins() if materials == STANDINS else materials, bad=bad)
     if not groups:

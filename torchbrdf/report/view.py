@@ -134,7 +134,7 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
     texts: list[list[str] | None] = [None] * len(items)
     if pairs:
         fits, references = (display[list(side)] for side in zip(*pairs, strict=True))
-        measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e", "psnr")]
+        measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e76", "psnr")]
         for (k, _), delta_e, psnr in zip(pairs, *measures, strict=True):
             texts[k] = [f"{delta_e:.2f}", f"{psnr:.1f} dB" if math.isfinite(psnr) else "infinite"]
     return texts

@@ -1,22 +1,26 @@
 """What an image difference is: one number for each pair of pictures, to report and to minimise."""
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchbrdf.color import safe_power
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.registry import Registry
 
-DIFFERENCES: Registry[type["Difference"]] = Registry("difference", "torchbrdf.images.differences")
+DIFFERENCES: Registry[type["Difference"]] = Registry(
+    "difference", "torchbrdf.images.differences", "torchbrdf.differences"
+)
+
+Reduction = Literal["none", "mean", "sum"]
 
 # What both pictures show where nothing counts, so that windows that reach there see them equal.
 _GREY = 0.5
 
 
-class Difference:
-    """A number for each pair of pictures: `difference(image, reference, mask)` gives `(B,)`.
+class Difference(nn.Module):
+    """How far apart two pictures are: `difference(image, reference, mask)` gives a number for each pair.
 
     Pictures are `(B, H, W, 3)`, float: linear radiance if `linear`, else display values in [0, 1]. The mask, `(H, W)`
     or `(B, H, W)`, says which pixels count; elsewhere both pictures are taken for grey (0.5), whatever they hold.
@@ -24,6 +28,21 @@ class Difference:
 
     A subclass registers itself, says what it compares, which way is better, in what unit and on how small a picture,
     and gives `compare`, the figure; and `objective`, where the figure is not itself a loss.
+
+    Args:
+        reduction: "none" gives `(B,)`, one for each pair of pictures; "mean" and "sum" a scalar.
+
+    Raises:
+        UsageError: the reduction is none of these.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import DIFFERENCES
+        >>> image, reference = torch.zeros(2, 8, 8, 3), torch.full((2, 8, 8, 3), 0.1)
+        >>> DIFFERENCES["psnr"]()(image, reference)
+        tensor([20., 20.])
+        >>> DIFFERENCES["psnr"](reduction="mean").loss(image, reference)
+        tensor(0.0100)
     """
 
     linear: ClassVar[bool] = False
@@ -32,21 +51,59 @@ class Difference:
     least_side: ClassVar[int] = 1
     """The smallest side, in pixels, of the pictures that it is defined for."""
 
+    def __init__(self, *, reduction: Reduction = "none") -> None:
+        super().__init__()
+        if reduction not in ("none", "mean", "sum"):
+            raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
+        self.reduction: Reduction = reduction
+
     @property
     def registered_name(self) -> str:
         """The name it is registered under; its class's, if it is not."""
         return next((name for name, kind in DIFFERENCES.items() if type(self) is kind), type(self).__name__)
 
-    def __call__(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
-        """The difference of every picture from its reference, `(B,)`; without a pixel that counts, nan."""
-        return self.compare(*self._checked(image, reference, mask))
+    def forward(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
+        """The difference of every picture from its reference; without a pixel that counts, nan.
+
+        Args:
+            image: pictures `(B, H, W, 3)`.
+            reference: what each is compared with, `(B, H, W, 3)`.
+            mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+
+        Returns:
+            `(B,)`, or a scalar after a reduction.
+
+        Raises:
+            ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
+        """
+        return self._reduced(self.compare(*self._checked(image, reference, mask)))
 
     def loss(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
-        """What a fit minimises, `(B,)`: at least 0, and 0 for equal pictures; without a pixel that counts, nan.
+        """What a fit minimises: at least 0, and 0 for equal pictures; without a pixel that counts, nan.
 
         Its gradient is finite everywhere: where the true one is infinite or undefined, as at equal pixels, it is 0.
+
+        Args:
+            image: pictures `(B, H, W, 3)`.
+            reference: what each is compared with, `(B, H, W, 3)`.
+            mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+
+        Returns:
+            `(B,)`, or a scalar after a reduction.
+
+        Raises:
+            ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
         """
-        return self.objective(*self._checked(image, reference, mask))
+        return self._reduced(self.objective(*self._checked(image, reference, mask)))
+
+    def extra_repr(self) -> str:
+        """The settings."""
+        return f"reduction={self.reduction!r}"
+
+    def _reduced(self, values: Tensor) -> Tensor:
+        if self.reduction == "none":
+            return values
+        return values.mean() if self.reduction == "mean" else values.sum()
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The figure, `(B,)`, of checked pictures of one dtype; mask `(B, H, W)`, bool."""
@@ -84,6 +141,12 @@ class PixelDifference(Difference):
     power 2: the figure is sqrt(mean(|e|^2) / F), the root mean square, and the loss the mean square mean(|e|^2) / F;
     power 1: figure and loss are mean(|e|), with gradient 0 in pixels where e = 0.
     A subclass gives `encode`.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import DIFFERENCES
+        >>> DIFFERENCES["log_hdr"](eps=0.5).encode(torch.tensor([[0.0, 0.5, 1.0]]))
+        tensor([[0.0000, 0.6931, 1.0986]])
     """
 
     power: ClassVar[int] = 2

@@ -3,7 +3,7 @@
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
 
 
 @DIFFERENCES.register("compressed_hdr")
@@ -19,13 +19,55 @@ class CompressedHDR(PixelDifference):
 
     linear = True
 
-    def __init__(self, exponent: float = 1 / 3, eps: float = 1e-3) -> None:
+    def __init__(self, exponent: float = 1 / 3, eps: float = 1e-3, *, reduction: Reduction = "none") -> None:
+        super().__init__(reduction=reduction)
         if not 0 < exponent <= 2:
             raise UsageError(f"CompressedHDR: expected an exponent above 0 and at most 2, found {exponent}")
         if not eps > 0:
             raise UsageError(f"CompressedHDR: expected an eps above 0, found {eps}")
         self.exponent, self.eps = exponent, eps
 
+    def extra_repr(self) -> str:
+        """The settings."""
+        return f"exponent={self.exponent:g}, eps={self.eps:g}, {super().extra_repr()}"
+
     def encode(self, picture: Tensor) -> Tensor:
         """(I + eps)^p - eps^p: 0 for black."""
         return (picture.clamp_min(0) + self.eps).pow(self.exponent) - self.eps**self.exponent
+
+
+def compressed_hdr(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    exponent: float = 1 / 3,
+    eps: float = 1e-3,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Root mean square difference of powers of pictures' radiance.
+
+    The functional form of `CompressedHDR`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, linear radiance.
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        exponent: the power.
+        eps: added to radiance, in its unit.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 0 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes.
+        UsageError: the exponent is not in (0, 2], or eps is not above 0.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import compressed_hdr
+        >>> compressed_hdr(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([0.6942])
+    """
+    return CompressedHDR(exponent, eps, reduction=reduction)(image, reference, mask)

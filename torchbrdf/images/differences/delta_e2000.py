@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.color import safe_power
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean
-from torchbrdf.images.differences.delta_e import lab
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, masked_mean
+from torchbrdf.images.differences.delta_e76 import lab
 
 # Colours of less chroma have no hue. Far below what can be seen, far above where float32 loses its square.
 _HUELESS = 1e-9
@@ -23,6 +23,38 @@ class DeltaE2000(Difference):
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of the pixels' differences."""
         return masked_mean(ciede2000(lab(image), lab(reference)), mask)
+
+
+def delta_e2000(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Mean CIEDE2000 colour difference between pictures.
+
+    The functional form of `DeltaE2000`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, display values in [0, 1].
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 0 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import delta_e2000
+        >>> delta_e2000(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([39.7441])
+    """
+    return DeltaE2000(reduction=reduction)(image, reference, mask)
 
 
 def ciede2000(first: Tensor, second: Tensor) -> Tensor:

@@ -9,7 +9,13 @@ from torch.nn import functional
 
 from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean
+from torchbrdf.images.differences.base import (
+    DIFFERENCES,
+    Difference,
+    Reduction,
+    channels_first,
+    masked_mean,
+)
 
 # Linear sRGB to XYZ, IEC 61966-2-1, exact, as the source has it; kornia's is rounded. Relative to white, (1, 1, 1).
 _XYZ = torch.tensor(
@@ -31,6 +37,7 @@ _SENSITIVITY = (
 _WIDEST = 0.04
 _POWER, _KNEE, _AT_KNEE = 0.7, 0.4, 0.95  # q_c, p_c, p_t
 _FEATURE_WIDTH, _FEATURE_POWER = 0.082, 0.5  # w in degrees, q_f
+PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180  # 3840 pixels over 0.7 m, seen from 0.7 m
 _GREEN_TO_BLUE = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the pair of colours that is furthest apart
 
 
@@ -47,10 +54,15 @@ class FLIP(Difference):
     Source: P. Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020, doi:10.1145/3406183.
     """
 
-    def __init__(self, pixels_per_degree: float = 0.7 * 3840 / 0.7 * math.pi / 180) -> None:
+    def __init__(self, pixels_per_degree: float = PIXELS_PER_DEGREE, *, reduction: Reduction = "none") -> None:
+        super().__init__(reduction=reduction)
         if not 2 <= pixels_per_degree < math.inf:  # below, no neighbour would be in reach of the edge filters
             raise UsageError(f"FLIP: expected pixels_per_degree of at least 2, found {pixels_per_degree}")
         self.pixels_per_degree = pixels_per_degree
+
+    def extra_repr(self) -> str:
+        """The settings."""
+        return f"pixels_per_degree={self.pixels_per_degree:g}, {super().extra_repr()}"
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of the map."""
@@ -104,6 +116,41 @@ class FLIP(Difference):
                 strengths.append(torch.linalg.vector_norm(both, dim=1))
             changes.append((strengths[0] - strengths[1]).abs())
         return safe_power(torch.maximum(*changes) / math.sqrt(2), _FEATURE_POWER)
+
+
+def flip(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    pixels_per_degree: float = PIXELS_PER_DEGREE,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Mean FLIP between pictures: the difference seen when they alternate.
+
+    The functional form of `FLIP`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, display values in [0, 1].
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        pixels_per_degree: of the display, from where it is seen.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 0 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes.
+        UsageError: pixels_per_degree is below 2.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import flip
+        >>> flip(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([0.9315])
+    """
+    return FLIP(pixels_per_degree, reduction=reduction)(image, reference, mask)
 
 
 def _offsets(radius: int, like: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
 
 
 @DIFFERENCES.register("log_hdr")
@@ -19,11 +19,51 @@ class LogHDR(PixelDifference):
 
     linear = True
 
-    def __init__(self, eps: float = 1e-2) -> None:
+    def __init__(self, eps: float = 1e-2, *, reduction: Reduction = "none") -> None:
+        super().__init__(reduction=reduction)
         if not eps > 0:
             raise UsageError(f"LogHDR: expected an eps above 0, found {eps}")
         self.eps = eps
 
+    def extra_repr(self) -> str:
+        """The settings."""
+        return f"eps={self.eps:g}, {super().extra_repr()}"
+
     def encode(self, picture: Tensor) -> Tensor:
         """log(1 + I / eps): log(I + eps), moved so that black is 0."""
         return (picture.clamp_min(0) / self.eps).log1p()
+
+
+def log_hdr(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    eps: float = 1e-2,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Root mean square difference of the logarithms of pictures' radiance.
+
+    The functional form of `LogHDR`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, linear radiance.
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        eps: added to radiance, in its unit.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 0 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes.
+        UsageError: eps is not above 0.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import log_hdr
+        >>> log_hdr(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([3.9318])
+    """
+    return LogHDR(eps, reduction=reduction)(image, reference, mask)

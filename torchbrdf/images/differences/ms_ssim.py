@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchbrdf.color import safe_power
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, channels_first
 
 _TAPS, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -46,6 +46,38 @@ class MSSSIM(Difference):
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """1 - MS-SSIM; rounding may carry the similarity of nearly equal pictures above 1."""
         return (1 - self.compare(image, reference, mask)).clamp_min(0)
+
+
+def ms_ssim(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Structural similarity of pictures at five scales.
+
+    The functional form of `MSSSIM`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, display values in [0, 1].
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 1 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes, or a side is below 161 pixels.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import ms_ssim
+        >>> ms_ssim(torch.zeros(1, 161, 161, 3), torch.full((1, 161, 161, 3), 0.5))
+        tensor([0.3524])
+    """
+    return MSSSIM(reduction=reduction)(image, reference, mask)
 
 
 def _dissimilarity(first: Tensor, second: Tensor, luminance: bool) -> Tensor:

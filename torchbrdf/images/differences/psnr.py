@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
 
 
 @DIFFERENCES.register("psnr")
@@ -22,3 +22,35 @@ class PSNR(PixelDifference):
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """Over all channels. kornia's pools a batch and knows no mask."""
         return -10 * self.objective(image, reference, mask).log10()
+
+
+def psnr(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Peak signal to noise ratio of pictures.
+
+    The functional form of `PSNR`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, display values in [0, 1].
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction, in dB; infinity for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import psnr
+        >>> psnr(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([6.0206])
+    """
+    return PSNR(reduction=reduction)(image, reference, mask)

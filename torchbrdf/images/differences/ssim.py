@@ -1,9 +1,9 @@
 """Structural similarity."""
 
-from kornia.metrics import ssim
+from kornia import metrics
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, channels_first, masked_mean
 
 _WINDOW = 11
 
@@ -24,9 +24,41 @@ class SSIM(Difference):
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of kornia's map."""
-        similarity = ssim(channels_first(image), channels_first(reference), window_size=_WINDOW, eps=0.0)
+        similarity = metrics.ssim(channels_first(image), channels_first(reference), window_size=_WINDOW, eps=0.0)
         return masked_mean(similarity.mean(1), mask)
 
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """1 - SSIM; rounding may carry the similarity of nearly equal pictures above 1."""
         return (1 - self.compare(image, reference, mask)).clamp_min(0)
+
+
+def ssim(
+    image: Tensor,
+    reference: Tensor,
+    mask: Tensor | None = None,
+    *,
+    reduction: Reduction = "none",
+) -> Tensor:
+    """Mean structural similarity of pictures.
+
+    The functional form of `SSIM`, which says more.
+
+    Args:
+        image: pictures `(B, H, W, 3)`, display values in [0, 1].
+        reference: what each is compared with, `(B, H, W, 3)`.
+        mask: which pixels count, `(H, W)` or `(B, H, W)`; None: all.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Returns:
+        `(B,)`, or a scalar after a reduction; 1 for equal pictures, nan without a pixel that counts.
+
+    Raises:
+        ShapeError: pictures or mask have other shapes, or a side is below 6 pixels.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.images import ssim
+        >>> ssim(torch.zeros(1, 8, 8, 3), torch.full((1, 8, 8, 3), 0.5))
+        tensor([0.0004])
+    """
+    return SSIM(reduction=reduction)(image, reference, mask)

@@ -49,7 +49,7 @@ class FactorModel(nn.Module):
             f, pairs.theta_d / quarter * FACTOR_BINS
         )
         masked = _shadow(g, pairs.cos_i) * _shadow(g, pairs.cos_o)
-        above = pairs.above[..., None]
+        above = pairs.above_horizon[..., None]
         cosines = torch.where(above, (pairs.cos_i * pairs.cos_o)[..., None], 1)
         return torch.where(above, (diffuse + specular * lobe * masked / cosines) / math.pi, 0)
 

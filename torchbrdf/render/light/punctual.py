@@ -48,7 +48,8 @@ class DirectionalLight:
 
     def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
-        `(p,)`, all infinite."""
+        `(p,)`, all infinite.
+        """
         direction, irradiance = (position.new_tensor(x).expand_as(position) for x in (self.direction, self.irradiance))
         return direction, irradiance, torch.full_like(position[:, 0], math.inf)
 
@@ -82,7 +83,8 @@ class PointLight:
 
     def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
-        `(p,)`."""
+        `(p,)`.
+        """
         way = position.new_tensor(self.position) - position
         distance = way.norm(dim=-1)
         counted = distance.clamp_min(NEAREST)[:, None]

@@ -30,7 +30,8 @@ class OpenGL:
 @functools.cache
 def find_opengl() -> OpenGL:
     """Whether OpenGL draws, tried once, in another process: where it fails, it may crash, or hang, or leave PyOpenGL
-    half imported."""
+    half imported.
+    """
     try:
         done = subprocess.run(
             # -P, lest this folder's modules hide others by their names

@@ -68,7 +68,7 @@ def digest(ingredients: list[object]) -> str:
 
 
 def _write(path: Path, pairs: Pairs, blocks: list[Block]) -> None:
-    arrays = {f"pairs.{name}": value.numpy() for name, value in pairs._known.items() if value.dtype.is_floating_point}
+    arrays = {f"pairs.{name}": value.numpy() for name, value in pairs.items() if value.dtype.is_floating_point}
     arrays |= {f"{k}.{name}": getattr(block, name).numpy() for k, block in enumerate(blocks) for name in _PARTS}
     with replacing(path) as temporary:
         np.savez(temporary, allow_pickle=False, **arrays)
