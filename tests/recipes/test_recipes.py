@@ -204,7 +204,7 @@ def test_a_recipe_can_say_other_words_and_screen(tmp_path):
         texts: ClassVar = {"consent": "Take part?"}
         screening: ClassVar = {"colour_vision": ("normal",)}
 
-    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "beside": "none"}
+    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "compare_strategy": "none"}
     run(configure(Ours, settings), tmp_path / "out")
     plan = Plan.load(tmp_path / "out")
     assert plan.text("consent") == "Take part?" and plan.screening == {"colour_vision": ("normal",)}

@@ -1,19 +1,16 @@
 """What a fit found, and its files."""
 
-import csv
-import io
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
-from torchbrdf.files import write_text
+from torchbrdf.files import write_csv
 from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.strategy import Stage
-from torchbrdf.lobes import Lambert, Lobe, model_name, model_of, number, parameters, read_fits, write_fits
+from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, write_fits
 
 
 @dataclass
@@ -45,66 +42,38 @@ class FitResult:
     scene: str = ""
     history: list[Stage] = field(default_factory=list)
 
-    def records(self) -> list[dict[str, Any]]:
-        """One plain dictionary a material, as in `fits.json`."""
+    def records(self) -> list[FitRecord]:
+        """One record a material, as `fits.json` holds them."""
         name, lobes = model_name(self.model)
         return [
-            {
-                "material": material,
-                "model": name,
-                "lobes": lobes,
-                "loss": self.loss,
-                "strategy": self.strategy,
-                "error": self.error[k].item(),
-                "subset_error": self.subset_error[k].item(),
-                "status": str(self.status[k]),
-                "reason": self.reason[k],
-                "starts": self.starts,
-                "ties": self.ties[k],
-                "at_bounds": at_bounds(self.model, k, self.diffuse == "fit"),
-                "seconds": self.seconds / len(self.names),
-                "max_theta": self.max_theta,
-                "samples": self.samples,
-                "seed": self.seed,
-                **({"scene": self.scene} if self.scene else {}),
-                "diffuse": self.diffuse,
-                "iterations": sum(stage.iterations[k] for stage in self.history),
-                "parameters": parameters(self.model, k),
-            }
+            FitRecord(
+                material=material,
+                model=name,
+                lobes=lobes,
+                parameters=parameters(self.model, k),
+                loss=self.loss,
+                strategy=self.strategy,
+                error=self.error[k].item(),
+                subset_error=self.subset_error[k].item(),
+                status=str(self.status[k]),
+                reason=self.reason[k],
+                starts=self.starts,
+                ties=self.ties[k],
+                at_bounds=at_bounds(self.model, k, self.diffuse == "fit"),
+                seconds=self.seconds / len(self.names),
+                max_theta=self.max_theta,
+                samples=self.samples,
+                seed=self.seed,
+                scene=self.scene,
+                diffuse=self.diffuse,
+                iterations=sum(stage.iterations[k] for stage in self.history),
+            )
             for k, material in enumerate(self.names)
         ]
 
     def save(self, path: Path | str) -> None:
-        """Write `fits.json`: a list of `records`."""
+        """Write `fits.json`, of which `torchbrdf.read_fits` gives the records, and `torchbrdf.model_of` their model."""
         write_fits(path, self.records())
-
-    @classmethod
-    def load(cls, path: Path | str) -> "FitResult":
-        """Read what `save` wrote; the stages are not kept in the file."""
-        records = read_fits(path)
-        common = ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed")
-        mixed = [key for key in common if len({record[key] for record in records}) != 1]
-        if mixed:
-            raise DataError(f"{path}: expected the fits of one model under one loss, found several: {', '.join(mixed)}")
-        first = records[0]
-        return cls(
-            names=[record["material"] for record in records],
-            model=model_of(records),
-            loss=first["loss"],
-            strategy=first["strategy"],
-            diffuse=first["diffuse"],
-            error=torch.tensor([number(record["error"]) for record in records], dtype=torch.float64),
-            subset_error=torch.tensor([number(record["subset_error"]) for record in records], dtype=torch.float64),
-            status=[Status(record["status"]) for record in records],
-            reason=[record.get("reason", "") for record in records],
-            starts=first.get("starts", 1),
-            ties=[record.get("ties", 0) for record in records],
-            seconds=sum(record["seconds"] for record in records),
-            max_theta=first["max_theta"],
-            samples=first["samples"],
-            seed=first["seed"],
-            scene=first.get("scene", ""),
-        )
 
 
 def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
@@ -127,15 +96,9 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     return found
 
 
-def write_csv(path: Path | str, records: list[dict[str, Any]]) -> None:
-    """Write records flat: one column a number."""
-    rows = [_flat(record) for record in records]
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:
+    """Write records as CSV: one column a number."""
+    write_csv(path, [_flat(record.to_json()) for record in records])
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
