@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, short
+from torchbrdf.errors import UsageError
 from torchbrdf.registry import unknown
 
 if TYPE_CHECKING:
@@ -60,6 +61,8 @@ def command(options: Options) -> int:
     from torchbrdf.lobes import make_model
 
     STRATEGIES[options.strategy]
+    if not 0 < options.max_theta <= 90:
+        raise UsageError(f"--max-theta: expected degrees above 0 and at most 90, found {options.max_theta:g}")
     model = make_model(options.model, options.lobes)
     batches = Batches(
         model,
