@@ -35,6 +35,19 @@ class FitGrid:
 
     Raises:
         UsageError: An unknown name, the same strategy twice, or two materials of one name.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from torchbrdf.losses import LOSSES
+        >>> from torchbrdf.measured import load, standins
+        >>> losses = {name: LOSSES[name]() for name in ("rms", "log")}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     run, materials = RunFolder(Path(folder)), [load(standins()).batch([7])]
+        ...     grid = FitGrid(run, materials, ["ward"], losses, lobes=(1,), max_theta=20.0, samples=200)
+        ...     grid.fit()
+        >>> [(record.loss, len(record.errors)) for record in grid.shown]
+        [('rms', 2), ('log', 2)]
     """
 
     folder: RunFolder

@@ -89,6 +89,12 @@ def load_materials(materials: str, folder: RunFolder, quick: bool) -> tuple[list
 
     Raises:
         DataError: There is not one that can be read.
+
+    Example:
+        >>> from pathlib import Path
+        >>> groups, left_out = load_materials(STANDINS, RunFolder(Path()), quick=True)
+        >>> groups[0].names, left_out
+        (['alum-bronze', 'aluminium'], [])
     """
     bad: list[DataError] = []
     groups = load_all(standins() if materials == STANDINS else materials, bad=bad)

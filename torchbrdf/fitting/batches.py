@@ -21,8 +21,25 @@ SIZE = 4
 class Batches:
     """Fit one model under one loss to any number of materials, with `fits.json` and `fits.csv` in a folder.
 
-    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again; other settings
-    are a DataError, so that nothing is mixed. out: the folder, or None to write nothing. Settings are those of `fit`.
+    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again.
+
+    Args:
+        model: Where every fit starts.
+        loss: What is minimised.
+        out: The folder; None writes nothing.
+        settings: Those of `fit`.
+
+    Raises:
+        DataError: The folder holds fits with other settings: nothing is mixed.
+
+    Example:
+        >>> from torchbrdf import load
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import standins
+        >>> batches = Batches(make_model("ward", 1), RMSLoss(), samples=200, max_theta=20)
+        >>> [record.material for record in batches.run([load(standins()).batch([6, 7])])]
+        ['nickel', 'nylon']
     """
 
     def __init__(self, model: Lobe, loss: Loss, *, out: Path | None = None, **settings: Any) -> None:

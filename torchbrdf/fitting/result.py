@@ -17,11 +17,34 @@ from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, wr
 class FitResult:
     """One model fitted to M materials under one loss.
 
-    `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
-    the solver saw, `(M,)` each; `status` says of each material whether the solver converged, and `reason` why not;
-    `scene` says what a rendered loss saw; `starts` is how many starts the strategy tried, `ties` how many other minima
-    of each material came within 1 % of the best on the subset; `history` has the stages. `seconds` is the time of the
-    whole batch.
+    Args:
+        names: Of the materials.
+        model: Batched, with the parameters that were found.
+        loss: Registered name of the loss.
+        strategy: Registered name of the strategy.
+        diffuse: `45:0`, where the diffuse albedo was measured and held, or `fit`.
+        error: On every valid sample within `max_theta`, `(M,)`, float64.
+        subset_error: On the samples that the solver saw, `(M,)`, float64.
+        status: Whether the solver converged, of each material.
+        reason: Why it did not; empty where it did.
+        starts: How many starts the strategy tried.
+        ties: How many other minima of each material came within 1 % of the best on the subset.
+        seconds: Of the whole batch.
+        max_theta: Largest angle from the normal of the pairs that counted, in degrees.
+        samples: How many pairs the solver saw; None: every one.
+        seed: Of the subset.
+        scene: What a rendered loss saw.
+        history: The stages.
+
+    Example:
+        >>> from torchbrdf import fit, load
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import standins
+        >>> nylon = load(standins()).batch([7])
+        >>> result = fit(make_model("ward", 1), nylon, RMSLoss(), samples=200, max_theta=20)
+        >>> [(record.material, record.status) for record in result.records()]
+        [('nylon', 'converged')]
     """
 
     names: list[str]
@@ -97,7 +120,12 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
 
 
 def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:
-    """Write records as CSV: one column a number."""
+    """Write records as CSV, one column a number: `roughness_1` is that of the second lobe.
+
+    Args:
+        path: The file.
+        records: Of fits, of any models.
+    """
     write_csv(path, [_flat(record.to_json()) for record in records])
 
 

@@ -54,6 +54,14 @@ class FitRecord:
         differences: Image differences of its picture by name.
         pictures: The same for each of several scenes.
         extra: What a file says besides, which is kept.
+
+    Example:
+        >>> from torchbrdf.measured import standins
+        >>> record = read_fits(standins())[7]
+        >>> record.material, record.model, record.lobes
+        ('nylon', 'distribution_based', 1)
+        >>> FitRecord.from_json(record.to_json()) == record
+        True
     """
 
     material: str
@@ -122,6 +130,15 @@ class FitRecord:
 def model_of(records: Sequence[FitRecord]) -> Sum:
     """The batched model of several records with the same kind and number of lobes.
 
+    Args:
+        records: M of them.
+
+    Returns:
+        A model of M materials, in their order.
+
+    Raises:
+        DataError: Parameters are not those of the model that is named.
+
     Example:
         >>> from torchbrdf.lobes import Ward, Lambert, Sum, parameters
         >>> paint = FitRecord("paint", "ward", 1, parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward())))
@@ -133,15 +150,40 @@ def model_of(records: Sequence[FitRecord]) -> Sum:
 
 
 def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:
-    """Write records as JSON, whole or not at all; a number that is not finite is null."""
+    """Write records as JSON, whole or not at all; a number that is not finite is null.
+
+    Args:
+        path: The file.
+        records: Of fits or stand-ins, of any models.
+
+    Example:
+        >>> import tempfile
+        >>> from torchbrdf.measured import standins
+        >>> records = read_fits(standins())
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_fits(f"{folder}/fits.json", records)
+        ...     read_fits(f"{folder}/fits.json") == records
+        True
+    """
     write_json(path, [record.to_json() for record in records])
 
 
 def read_fits(path: Path | str) -> list[FitRecord]:
     """Read and check a `fits.json`.
 
+    Args:
+        path: The file.
+
+    Returns:
+        Its records; `model_of` makes models of those with one kind and number of lobes.
+
     Raises:
         DataError: It cannot be read, or holds no list of fits; says where and what was expected.
+
+    Example:
+        >>> from torchbrdf.measured import standins
+        >>> [record.material for record in read_fits(standins())][:3]
+        ['alum-bronze', 'aluminium', 'blue-acrylic']
     """
     try:
         records = json.loads(Path(path).read_text(encoding="utf-8"))
