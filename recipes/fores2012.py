@@ -6,18 +6,20 @@ from pathlib import Path
 from typing import ClassVar
 
 from torchbrdf.errors import UsageError
+from torchbrdf.experiment import ONLY, SHOWN_DIFFERENCES, FitGridRecipe, Pictures, load_materials, simulate_responses
 from torchbrdf.losses import LOSSES
-from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, find_mesh
-from torchbrdf.report import STANDINS, Study, ask_simulated, gather, write_report
+from torchbrdf.report import write_grid_report
 from torchbrdf.study.simulation import NOISE
 
 GROVE = "grove"
+OTHER = "another strategy to compare with, or none"
 
 
 @RECIPES.register("fores2012")
 @dataclass(frozen=True)
-class Fores2012(Recipe):
+class Fores2012(FitGridRecipe):
     """Fit, score, draw, ask simulated observers and report.
 
     Its defaults are the paper's, on the bundled stand-ins and the bundled light.
@@ -25,15 +27,8 @@ class Fores2012(Recipe):
 
     name = "fores2012"
 
-    materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
-    models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
-    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
     lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares"})
-    strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
-    beside: str | None = field(default="staged", metadata={"help": "another strategy to compare with, or none"})
-    diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit"})
-    max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
-    samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
+    compare_strategy: str | None = field(default="staged", metadata={"help": OTHER})
     environment: str = field(default=GROVE, metadata={"help": "grove, studio, or an .exr or .hdr light probe"})
     shape: str = field(default="blob", metadata={"help": "blob, sphere, or a mesh file"})
     size: int = field(default=400, metadata={"help": "pixels of a side"})
@@ -46,11 +41,7 @@ class Fores2012(Recipe):
     screening: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     def __post_init__(self) -> None:
-        for key in ("models", "losses"):
-            if not getattr(self, key):
-                raise UsageError(f"fores2012: {key}: expected at least one name, found none")
-        if self.lobes < 1:
-            raise UsageError(f"fores2012: lobes: expected at least 1, found {self.lobes}")
+        super().__post_init__()
         if len(self.observers) != 2 or min(self.observers) < 2:
             raise UsageError(f"fores2012: observers: expected two numbers, at least 2 each, found {self.observers}")
         if not self.noise > 0:
@@ -63,25 +54,19 @@ class Fores2012(Recipe):
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
-        groups, bad = gather(self.materials, folder, self.quick)
-        samples = min(self.samples or 4000, 4000) if self.quick else self.samples
-        study = Study(
-            folder=folder,
-            groups=groups,
-            models=self.models,
-            losses={name: LOSSES[name]() for name in self.losses},
-            lobes=(1, 2) if self.lobes == 1 else (self.lobes,),
-            strategy=self.strategy,
-            beside=self.beside,
-            diffuse=self.diffuse,
-            max_theta=self.max_theta,
-            samples=samples,
-            seed=self.seed,
-        )
-        study.fit()
-        study.draw(scene, turned)
-        asked = ask_simulated(study, (self.observers[0], self.observers[1]), self.noise, self.texts, self.screening)
-        light = "Light: " + (
-            "the project's own grove." if self.environment == GROVE else Path(self.environment).name + "."
-        )
-        return write_report(study, "Which error metric looks right?", light, self.turn, bad, asked)
+        groups, bad = load_materials(self.materials, folder, self.quick)
+        losses = {name: LOSSES[name]() for name in self.losses}
+        lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
+        grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)
+        grid.fit()
+        pictures = Pictures(grid, {ONLY: scene}, SHOWN_DIFFERENCES)
+        pictures.draw_materials()
+        pictures.draw_fits()
+        pictures.measure_tones(fits=True)
+        pictures.draw_turned(turned, "turned")
+        pictures.compare()
+        observers = self.observers[0], self.observers[1]
+        responses = simulate_responses(pictures, observers, self.noise, self.texts, self.screening)
+        light = "the project's own grove" if self.environment == GROVE else Path(self.environment).name
+        title = "Which error metric looks right?"
+        return write_grid_report(pictures, title, f"Light: {light}.", self.turn, bad, responses)

@@ -4,24 +4,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from torchbrdf.errors import UsageError
+from torchbrdf.experiment import FitGridRecipe, Pictures, load_materials
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import LOSSES, Loss
-from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh
-from torchbrdf.report import STANDINS, Gallery, Study, gather, write_images_report
+from torchbrdf.report import write_images_report
 
 TRAINING, UNSEEN = "training", "unseen"
 
 
 @RECIPES.register("image_vs_analytic")
 @dataclass(frozen=True)
-class ImageVsAnalytic(Recipe):
+class ImageVsAnalytic(FitGridRecipe):
     """Fit every material and model under every loss, analytic and rendered, and compare the pictures."""
 
     name = "image_vs_analytic"
 
-    materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
-    models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
     losses: tuple[str, ...] = ("rms", "cosine", "cuberoot", "compressed", "log")
     rendered: tuple[str, ...] = field(
         default=("log_hdr", "delta_e76"), metadata={"help": "image differences that are losses, too"}
@@ -30,11 +29,7 @@ class ImageVsAnalytic(Recipe):
         default=("delta_e76", "delta_e2000", "flip", "ssim", "psnr", "log_hdr"),
         metadata={"help": "image differences that fits are judged by"},
     )
-    lobes: int = field(default=2, metadata={"help": "specular lobes"})
-    strategy: str = "global"
     diffuse: str = field(default="fit", metadata={"help": "fit: every loss chooses its own; or 45:0"})
-    max_theta: float = field(default=80.0, metadata={"help": "analytic losses: only pairs below this angle"})
-    samples: int | None = field(default=20_000, metadata={"help": "analytic losses: pairs that the solver sees"})
     environment: str = field(default="grove", metadata={"help": "training scene: grove, studio, or a light probe"})
     shape: str = field(default="blob", metadata={"help": "training scene: blob, sphere, or a mesh file"})
     train_size: int = field(default=128, metadata={"help": "pixels of a side that rendered losses see"})
@@ -46,9 +41,8 @@ class ImageVsAnalytic(Recipe):
     size: int = field(default=256, metadata={"help": "pixels of a side of the pictures that are compared"})
 
     def __post_init__(self) -> None:
-        for key in ("models", "losses", "rendered", "differences"):
-            if not getattr(self, key):
-                raise UsageError(f"{self.name}: {key}: expected at least one name, found none")
+        super().__post_init__()
+        self.expect_names("rendered", "differences")
         if "delta_e76" not in self.differences:
             raise UsageError(f"{self.name}: differences: expected delta_e76 among them, by which the report sorts")
         for key in (*self.rendered, *self.differences):
@@ -61,39 +55,29 @@ class ImageVsAnalytic(Recipe):
     def steps(self, folder: RunFolder) -> Path:
         """References and tone maps, fits, pictures, report."""
         size, train, lights = self.size, self.train_size, self.lights
-        samples, models, rendered = self.samples, self.models, self.rendered
+        rendered = self.rendered
         if self.quick:
-            size, train, lights, samples = min(size, 48), min(train, 32), 128, min(samples or 4000, 4000)
-            models, rendered = models[:1], rendered[-1:]
-        groups, bad = gather(self.materials, folder, self.quick)
+            size, train, lights, rendered = min(size, 48), min(train, 32), 128, rendered[-1:]
+        groups, bad = load_materials(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)
         turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
         scenes = {TRAINING: Scene(mesh, Camera(), light, size=size), UNSEEN: Scene(*other, size=size)}
         losses: dict[str, Loss] = {name: LOSSES[name]() for name in self.losses}
-        study = Study(
-            folder=folder,
-            groups=groups,
-            models=models,
-            losses=losses,
-            lobes=(self.lobes,),
-            strategy=self.strategy,
-            diffuse=self.diffuse,
-            max_theta=self.max_theta,
-            samples=samples,
-            seed=self.seed,
-        )
+        grid = self.make_grid(folder, groups, losses, models=self.models[:1] if self.quick else self.models)
+        pictures = Pictures(grid, scenes, self.differences, maps=True)
+        pictures.draw_materials()
+        pictures.measure_tones(fits=False)
         small = Scene(mesh, Camera(), light, size=train, light_samples=lights, cache=folder.path / "cache")
-        gallery = Gallery(study, scenes, self.differences)
-        gallery.draw_references()
         for name in rendered:
-            loss = RenderedLoss(small, name, tone=gallery.tones[TRAINING])
+            loss = RenderedLoss(small, name, tone=pictures.tones[TRAINING])
             losses[loss.registered_name] = loss
-        study.fit()
-        gallery.draw_fits()
+        grid.fit()
+        pictures.draw_fits()
+        pictures.compare()
         said = {
             TRAINING: f"{self.shape}, {self.environment}",
             UNSEEN: f"{self.unseen_shape}, {self.unseen_environment}, turned by {self.unseen_turn:g}° and from above",
         }
         used = f"{train} x {train} pixels, {small.nodes} directions around the mirror's and {lights} lights a pixel"
-        return write_images_report(gallery, said, used, bad)
+        return write_images_report(pictures, said, used, bad)

@@ -9,7 +9,7 @@ import torch
 
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting import fit
-from torchbrdf.lobes import DistributionBased, Lambert, Sum, write_fits
+from torchbrdf.lobes import DistributionBased, FitRecord, Lambert, Sum, write_fits
 from torchbrdf.lobes.distribution_based import NODES
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins
@@ -50,14 +50,25 @@ class MakeStandins(Recipe):
             samples=samples,
             seed=self.seed,
             max_iterations=100 if self.quick else 400,
-            progress=folder.progress("stand-ins", len(measured)),
+            progress=folder.progress("stand-ins"),
         )
         for name, error, status in zip(result.names, result.error.tolist(), result.status, strict=True):
             folder.log(f"{name}: compressed error {error:.4g}, {status}")
         path = folder.path / "standins.json"
-        keep = ("material", "model", "lobes", "loss", "error", "status", "parameters")
-        write_fits(path, [{key: self._rounded(record[key]) for key in keep} for record in result.records()])
+        write_fits(path, [self._without_settings(record) for record in result.records()])
         return path
+
+    def _without_settings(self, record: FitRecord) -> FitRecord:
+        """What is needed of a fit that stands in for a material, in few digits."""
+        return FitRecord(
+            record.material,
+            record.model,
+            record.lobes,
+            self._rounded(record.parameters),
+            loss=record.loss,
+            error=self._rounded(record.error),
+            status=record.status,
+        )
 
     def _rounded(self, value: Any) -> Any:
         if isinstance(value, float):

@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from torchbrdf.fitting import FitResult, fit
-    from torchbrdf.lobes import Lobe, Sum
+    from torchbrdf.lobes import FitRecord, Lobe, Sum, model_of, read_fits, write_fits
     from torchbrdf.losses import Loss, Problem
     from torchbrdf.measured import Measured, load, load_all
     from torchbrdf.pairs import Pairs
@@ -22,6 +22,10 @@ _HOME = {
     "Pairs": "pairs",
     "Lobe": "lobes",
     "Sum": "lobes",
+    "FitRecord": "lobes",
+    "model_of": "lobes",
+    "read_fits": "lobes",
+    "write_fits": "lobes",
     "Loss": "losses",
     "Problem": "losses",
     "Measured": "measured",
@@ -36,6 +40,7 @@ _HOME = {
 }
 __all__ = [
     "Environment",
+    "FitRecord",
     "FitResult",
     "Lobe",
     "Loss",
@@ -48,7 +53,10 @@ __all__ = [
     "fit",
     "load",
     "load_all",
+    "model_of",
+    "read_fits",
     "run",
+    "write_fits",
 ]
 
 __getattr__, __dir__ = exports(__name__, _HOME)

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.files import write_text
+from torchbrdf.files import write_json
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.registry import Registry, unknown
 
 RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes")
@@ -42,9 +43,9 @@ class Recipe:
 class RunFolder:
     """The folder of a run: its path, a log, and progress for whoever watches."""
 
-    def __init__(self, path: Path, progress: "Progress | None" = None) -> None:
+    def __init__(self, path: Path, progress: Callable[[str], Progress] | None = None) -> None:
         self.path = path
-        self.progress = progress or quiet
+        self.progress = progress or (lambda label: quiet)  # of each kind of work, by a label
         self._began = time.perf_counter()
 
     def log(self, line: str) -> None:
@@ -56,15 +57,6 @@ class RunFolder:
         """Add a line to log.txt and say it: something was left out, but the run goes on."""
         self.log(line)
         logging.getLogger("torchbrdf").warning("torchbrdf: %s", line)
-
-
-# progress(label, total) gives a function that is called with the number of things done since the last call.
-Progress = Callable[[str, int], Callable[[int], None]]
-
-
-def quiet(label: str, total: int) -> Callable[[int], None]:
-    """A progress that shows nothing."""
-    return lambda done: None
 
 
 def find_recipe(name: str) -> type[Recipe]:
@@ -162,11 +154,12 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
-def run(recipe: Recipe, out: Path | str, progress: Progress | None = None) -> Path:
+def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | None = None) -> Path:
     """Run a recipe in the folder `out` and return the path of its report.
 
     The folder gets `recipe.json`, with everything needed to repeat the run. Running the same recipe again in the same
-    folder takes up what is finished and does only the rest; a folder of another recipe is refused.
+    folder takes up what is finished and does only the rest; a folder of another recipe is refused. For each kind of
+    work, `progress(label)` gives what is called as it goes on.
     """
     out = Path(out)
     settings = json.loads(json.dumps(dataclasses.asdict(recipe)))
@@ -184,7 +177,7 @@ def run(recipe: Recipe, out: Path | str, progress: Progress | None = None) -> Pa
             )
     elif out.is_dir() and any(out.iterdir()):
         raise UsageError(f"{out}: expected an empty folder or one of an earlier run, found other files")
-    write_text(stored, json.dumps(record, indent=1) + "\n")
+    write_json(stored, record)
     folder = RunFolder(out, progress)
     folder.log(f"{recipe.name} begins")
     report = recipe.steps(folder)

@@ -133,8 +133,8 @@ def test_a_model_that_needs_a_graph_gets_a_joint_polish():
 def test_parameters_at_bounds_and_near_ties_are_reported():
     truth = Sum(Lambert(albedo=0.2), Ward(specular=3.0, roughness=0.1)).double()
     (record,) = fit(make_model("ward", 1), measured_from(truth), RMSLoss(), samples=None).records()
-    assert record["at_bounds"] == ["specular[0] = 1"]
-    assert record["starts"] == 7 and record["ties"] >= 0 and record["reason"] == ""
+    assert record.at_bounds == ["specular[0] = 1"]
+    assert record.starts == 7 and record.ties >= 0 and record.reason == ""
 
 
 def bad_materials():

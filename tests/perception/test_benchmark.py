@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.perception import Distances, statistics_of, tabulate
@@ -73,7 +73,7 @@ def test_what_is_scored_is_not_scored_again(out, monkeypatch):
     def no_need(*_):
         raise AssertionError("looked at the values again")
 
-    monkeypatch.setattr("torchbrdf.recipes.human_benchmark.evaluate_brdfs", no_need)
+    monkeypatch.setattr("torchbrdf.experiment.benchmark.evaluate_brdfs", no_need)
     run(benchmark(**SETTINGS), out)
     assert (out / "scores.json").read_text() == scores
 
@@ -114,7 +114,7 @@ def study(folder):
     generator = np.random.default_rng(0)
     names = sorted(MERL_NAMES, key=lambda name: f"{name}.binary")
     model = Sum(Lambert(), Ward())
-    records = [{"material": name, "model": "ward", "lobes": 1, "parameters": parameters(model)} for name in names]
+    records = [FitRecord(name, "ward", 1, parameters(model)) for name in names]
     write_fits(folder / "materials.json", records)
     questions = [generator.permutation(100)[:3].tolist() for _ in range(100)]
     votes = [[int(first), 5 - int(first)] for first in generator.integers(0, 6, 100)]

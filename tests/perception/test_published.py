@@ -13,8 +13,18 @@ from helpers.directions import hemisphere
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.fitting import fit
-from torchbrdf.lobes import Lambert, ShiftedGamma, Sum, make_model, model_name, model_of, parameters, write_fits
-from torchbrdf.lobes.records import read_fits
+from torchbrdf.lobes import (
+    FitRecord,
+    Lambert,
+    ShiftedGamma,
+    Sum,
+    make_model,
+    model_name,
+    model_of,
+    parameters,
+    read_fits,
+    write_fits,
+)
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
@@ -235,10 +245,7 @@ def test_shifted_gamma_is_fitted() -> None:
 def test_they_go_through_fits_json(name: str, published: dict[str, PublishedFits], tmp_path: Path) -> None:
     fits = published[name]
     kind, lobes = model_name(fits.model)
-    records = [
-        {"material": material, "model": kind, "lobes": lobes, "parameters": parameters(fits.model, k)}
-        for k, material in enumerate(fits.materials)
-    ]
+    records = [FitRecord(material, kind, lobes, parameters(fits.model, k)) for k, material in enumerate(fits.materials)]
     write_fits(tmp_path / "fits.json", records)
     again = model_of(read_fits(tmp_path / "fits.json"))
     torch.testing.assert_close(again.pack().double(), fits.model.pack(), rtol=1e-7, atol=1e-30)

@@ -10,7 +10,7 @@ from scipy.optimize import check_grad
 from scipy.stats import norm
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.lobes import make_model
+from torchbrdf.lobes import make_model, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
 from torchbrdf.losses.learned import ROWS
 from torchbrdf.measured import load, standins
@@ -265,7 +265,7 @@ def test_trainings_are_taken_up(out: Path, monkeypatch) -> None:
     kept = sorted((out / "trainings").iterdir())
     kept[0].unlink()
     trained = []
-    monkeypatch.setattr("torchbrdf.recipes.train_metric.train", lambda *a: trained.append(a[1].name) or train(*a))
+    monkeypatch.setattr("torchbrdf.experiment.metric_training.train", lambda *a: trained.append(a[1].name) or train(*a))
     run(recipe(quick="true"), out)
     assert trained == [kept[0].stem] and (out / "metric.json").read_text() == before
     kept[1].write_bytes(b"half of it")
@@ -298,7 +298,7 @@ def studied(tmp_path_factory) -> Path:
     for name in ("rms", "cuberoot"):
         result = fit(make_model("ward", 1), measured, LOSSES[name](), samples=500, strategy="staged")
         records += result.records()
-    (folder / "fits.json").write_text(json.dumps(records))
+    write_fits(folder / "fits.json", records)
     (folder / "recipe.json").write_text(json.dumps({"settings": {"materials": "stand-ins"}}))
     with (folder / "answers.csv").open("w", newline="") as file:
         rows = csv.writer(file)

@@ -15,7 +15,7 @@ from helpers.directions import hemisphere
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import Lambert, Sum, Ward
-from torchbrdf.measured import Measured, BrdfFormat
+from torchbrdf.measured import BrdfFormat, Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.recipe import find_recipe
 

@@ -128,6 +128,7 @@ QUICK = {
 }
 
 
+@pytest.mark.slow  # the study below is a small one that always runs
 @pytest.mark.parametrize("name", list(RECIPES))
 def test_every_recipe_runs_in_its_quick_form(name, tmp_path):
     out = tmp_path / name
@@ -137,10 +138,15 @@ def test_every_recipe_runs_in_its_quick_form(name, tmp_path):
     assert not list(out.rglob(".*"))  # nothing half-written is left
 
 
+# Few pairs to fit and to score.
+FEW = {"quick": "true", "models": "ward", "samples": "500", "max_theta": "30", "size": "32"}
+SMALL = FEW | {"lobes": "1"}
+
+
 @pytest.fixture(scope="module")
 def study(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("study") / "out"
-    run(configure(RECIPES["fores2012"], {"quick": "true", "models": "ward", "lobes": "1", "size": "48"}), out)
+    run(configure(RECIPES["fores2012"], SMALL), out)
     return out
 
 
@@ -204,7 +210,7 @@ def test_a_recipe_can_say_other_words_and_screen(tmp_path):
         texts: ClassVar = {"consent": "Take part?"}
         screening: ClassVar = {"colour_vision": ("normal",)}
 
-    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "beside": "none"}
+    settings = FEW | {"losses": "rms", "compare_strategy": "none"}
     run(configure(Ours, settings), tmp_path / "out")
     plan = Plan.load(tmp_path / "out")
     assert plan.text("consent") == "Take part?" and plan.screening == {"colour_vision": ("normal",)}
@@ -216,7 +222,7 @@ def test_a_recipe_can_say_other_words_and_screen(tmp_path):
 def test_a_study_takes_up_what_is_finished(study):
     before = {path: path.stat().st_mtime_ns for path in (study / "renders").glob("*.exr")}
     (study / "renders" / "aluminium-turned.exr").unlink()
-    run(configure(RECIPES["fores2012"], {"quick": "true", "models": "ward", "lobes": "1", "size": "48"}), study)
+    run(configure(RECIPES["fores2012"], SMALL), study)
     again = {path: path.stat().st_mtime_ns for path in (study / "renders").glob("*.exr")}
     assert set(again) == set(before)
     assert {path.stem for path in before if again[path] != before[path]} == {"alum-bronze-turned", "aluminium-turned"}
@@ -227,7 +233,7 @@ def test_a_bad_file_is_left_out_with_a_word(tmp_path, caplog):
     folder.mkdir()
     (folder / "good.json").write_bytes(standins().read_bytes())
     (folder / "broken.binary").write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00")
-    settings = {"quick": "true", "models": "ward", "losses": "rms", "size": "32", "materials": str(folder)}
+    settings = FEW | {"losses": "rms", "compare_strategy": "none", "materials": str(folder)}
     report = run(configure(RECIPES["fores2012"], settings), tmp_path / "out")
     assert "broken.binary" in caplog.text and "left out" in (tmp_path / "out" / "log.txt").read_text()
     assert "broken.binary" in report.read_text()

@@ -12,7 +12,7 @@ from helpers.triangle_soup import soup
 
 from torchbrdf.cli import main
 from torchbrdf.errors import UsageError
-from torchbrdf.lobes import Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.render import Camera, Mesh, Scene, blob, sphere
 from torchbrdf.render.raster import backends, opengl
 from torchbrdf.render.raster.raster import rasterize
@@ -208,7 +208,7 @@ def test_the_command_line_has_backends_and_says_what_is_there(
 ) -> None:
     paint = tmp_path / "paint.json"
     model = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.2))
-    write_fits(paint, [{"material": "paint", "model": "ward", "lobes": 1, "parameters": parameters(model)}])
+    write_fits(paint, [FitRecord("paint", "ward", 1, parameters(model))])
     draw = ["render", str(paint), "--size", "16", "--shape", "sphere", "--out", str(tmp_path), "--backend"]
     assert main([*draw, "software"]) == 0
     assert main([*draw, "auto"]) == 0

@@ -2,31 +2,34 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from torchbrdf.errors import DataError
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
+    from torchbrdf.progress import Progress
 
 Options = argparse.Namespace
 Commands = Any
 """What argparse adds commands to; its type has no public name."""
 
 
-def bars(label: str, total: int) -> Callable[[int], None]:
+def progress_bar(label: str) -> "Progress":
     """A progress bar on a terminal; nothing where there is none, or nothing to do."""
     from tqdm import tqdm
 
-    bar = tqdm(total=total, desc=label, unit="", disable=None if total else True, leave=True)
+    shown: list[tqdm[Any]] = []
 
-    def advance(done: int) -> None:
-        bar.update(done)
-        if bar.n >= total:
-            bar.close()
+    def progress(done: int, total: int) -> None:
+        if not shown:
+            shown.append(tqdm(total=total, desc=label, unit="", disable=None if total else True, leave=True))
+        shown[0].update(done - shown[0].n)
+        if done >= total:
+            shown[0].close()
 
-    return advance
+    return progress
 
 
 def load_files(files: Sequence[str]) -> tuple[list["Measured"], bool]:

@@ -1,12 +1,13 @@
 """`torchbrdf fit`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, bars, described, load_files, short
+from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, short
 from torchbrdf.registry import unknown
 
 if TYPE_CHECKING:
+    from torchbrdf.lobes import FitRecord
     from torchbrdf.losses import Loss
 
 RENDERED = "rendered"
@@ -58,9 +59,11 @@ def command(options: Options) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.files import writable
     from torchbrdf.fitting import STRATEGIES, Batches
-    from torchbrdf.lobes import make_model, number
+    from torchbrdf.lobes import make_model
+    from torchbrdf.pairs import check_max_theta
 
     STRATEGIES[options.strategy]
+    check_max_theta(options.max_theta)
     model = make_model(options.model, options.lobes)
     batches = Batches(
         model,
@@ -73,16 +76,14 @@ def command(options: Options) -> int:
         seed=options.seed,
     )
     groups, complete = load_files(options.files)
-    records = batches.run(groups, bars("fits", sum(map(len, groups))))
+    records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene:
         print(f"pictures of {batches.loss.scene}")
     print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
     for record in records:
-        rest = [f"{key} {short(value)}" for key, value in record["parameters"].items()]
+        rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
         rest += [f"({note})" for note in _notes(record)]
-        print(
-            f"{record['material']:32s} {short(number(record['error'])):>10s}  {record['status']:14s} {'  '.join(rest)}"
-        )
+        print(f"{record.material:32s} {short(record.error):>10s}  {record.status:14s} {'  '.join(rest)}")
     if options.out:
         print(Path(options.out) / "fits.json")
     return 0 if complete else 1
@@ -106,8 +107,8 @@ def _loss(options: Options) -> "Loss":
     return RenderedLoss(scene, difference)
 
 
-def _notes(record: dict[str, Any]) -> list[str]:
+def _notes(record: "FitRecord") -> list[str]:
     """What else there is to say of a fit."""
-    notes = [record["reason"]] if record["reason"] else []
-    notes += [f"{record['ties']} other minima within 1 %"] if record["ties"] else []
-    return notes + ([f"at a bound: {', '.join(record['at_bounds'])}"] if record["at_bounds"] else [])
+    notes = [record.reason] if record.reason else []
+    notes += [f"{record.ties} other minima within 1 %"] if record.ties else []
+    return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])

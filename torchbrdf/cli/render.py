@@ -1,13 +1,16 @@
 """`torchbrdf render`."""
 
-from torchbrdf.cli.common import Commands, Options, described, load_files
+from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar
 from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
-Draw measured BRDFs, or the fits of a fits.json, under a light probe, to PNG (and linear EXR) files.
+Draw measured BRDFs, and the fits of a fits.json, under a light probe, to PNG (and linear EXR) files.
 
-  torchbrdf render nickel.binary --out pictures/
+  torchbrdf render nickel.binary fits/fits.json --out pictures/
   torchbrdf render fits/fits.json --environment rnl_probe.hdr --shape sphere --rotate 15
+
+All pictures of one command share a tone map, in tonemap.json, so that they can be compared; sheet.png has them side by
+side, with maps of where each fit differs from its material.
 """
 
 
@@ -36,8 +39,8 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf render`."""
     from torchbrdf.files import writable
-    from torchbrdf.images import ToneMap, composite, write_exr, write_png
-    from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light, render
+    from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light
+    from torchbrdf.report.sheet import draw_groups
 
     out = writable(options.out)
     if options.environment == "none" and not options.lamp:
@@ -53,12 +56,8 @@ def command(options: Options) -> int:
         backend=options.backend,
     )
     groups, complete = load_files(options.files)
-    for group in groups:
-        pictures = render(group, scene)
-        tone = ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1]))
-        for name, picture in zip(group.names, pictures, strict=True):
-            path = out / f"{name}.png"
-            write_png(path, composite(tone(picture), scene.coverage))
-            write_exr(path.with_suffix(".exr"), picture)
-            print(path)
+    if not groups:
+        return 1
+    for path, label in draw_groups(out, groups, scene, progress_bar("pixels")):
+        print(f"{path}  {label}")
     return 0 if complete else 1

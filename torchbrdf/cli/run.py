@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, bars, described
+from torchbrdf.cli.common import Commands, Options, described, progress_bar
 from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
@@ -47,5 +47,5 @@ def command(options: Options) -> int:
         print(describe(kind))
         return 0
     recipe = configure(kind, settings)
-    print(run(recipe, options.out or Path("runs") / kind.name, bars))
+    print(run(recipe, options.out or Path("runs") / kind.name, progress_bar))
     return 0

@@ -184,9 +184,7 @@ def simulate_command(options: Options) -> int:
 
 def export_command(options: Options) -> int:
     """`torchbrdf study export`."""
-    import json
-
-    from torchbrdf.files import write_text
+    from torchbrdf.files import write_json
     from torchbrdf.study import write_answers
 
     with _store_of(Path(options.run)) as store:
@@ -194,7 +192,7 @@ def export_command(options: Options) -> int:
     out = Path(options.out) if options.out else Path(options.run) / "answers.csv"
     write_answers(out, answers)
     observers = out.with_name(f"{out.stem}-observers.json")
-    write_text(observers, json.dumps(profiles, indent=1) + "\n")
+    write_json(observers, profiles)
     print(f"{len(answers)} answers of {len(profiles)} observers; what they said of themselves and their screens")
     print(out)
     print(observers)

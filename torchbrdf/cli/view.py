@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, bars, described, load_files
+from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar
 
 DESCRIPTION = """\
 Draw measured BRDFs and fits from all around, and write one page to look at them: turn the object, wipe between a
@@ -30,9 +30,10 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf view`."""
+    from torchbrdf.experiment.items import distinct
     from torchbrdf.files import writable
     from torchbrdf.render import Environment, find_mesh
-    from torchbrdf.report.view import distinct, write_view
+    from torchbrdf.report.viewer import write_viewer
 
     out = Path(options.out)
     writable(out.parent)
@@ -42,14 +43,14 @@ def command(options: Options) -> int:
     groups, complete = load_files(options.files)
     if not groups:
         return 1
-    write_view(
+    write_viewer(
         out,
         groups,
         dict(zip(names, lights, strict=True)),
         mesh,
         size=options.size,
         steps=options.steps,
-        advance=bars("sides", len(lights) * max(options.steps, 0)),
+        progress=progress_bar("sides"),
     )
     pictures = sum(map(len, groups)) * len(lights) * options.steps
     print(f"{pictures} pictures, {out.stat().st_size / 1e6:.1f} MB")

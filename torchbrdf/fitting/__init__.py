@@ -6,7 +6,7 @@ from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.lbfgs import Solution, Status, minimize
 from torchbrdf.fitting.levenberg import minimize_squares
 from torchbrdf.fitting.quadratic import minimize_quadratic
-from torchbrdf.fitting.result import FitResult, write_csv
+from torchbrdf.fitting.result import FitResult, write_fits_csv
 from torchbrdf.fitting.score import cross_score, local_minima, score
 from torchbrdf.fitting.strategy import STRATEGIES
 
@@ -24,5 +24,5 @@ __all__ = [
     "minimize_squares",
     "score",
     "stratified",
-    "write_csv",
+    "write_fits_csv",
 ]

@@ -1,7 +1,6 @@
 """Fit a model to measured materials."""
 
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -18,6 +17,7 @@ from torchbrdf.fitting.variables import put_values, values_of
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
+from torchbrdf.progress import Progress, quiet
 
 DIFFUSE = ("45:0", "fit")
 
@@ -33,7 +33,7 @@ def fit(
     samples: int | None = 20_000,
     seed: int = 0,
     max_iterations: int = 300,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress = quiet,
 ) -> FitResult:
     """Fit `model`, a sum of lobes with or without a diffuse one, to every material of `measured` under `loss`.
 
@@ -43,7 +43,7 @@ def fit(
     count. samples: the solver works on a stratified random subset of so many pairs, from `seed` (None: every pair),
     and finishes on every valid pair; both errors are reported. The parameters that the model holds are where the fit
     starts; (P,) for all materials or (M, P) for each. max_iterations: of the solver in each stage. progress: called
-    with the number of materials done, as they are done.
+    with the numbers of materials done and of all, as they are done.
 
     A material that cannot be fitted (no valid samples, fewer than parameters, a start outside its bounds, an error
     that is not finite) says so in `status`, with the reason in `reason`, and leaves the others be.
@@ -81,8 +81,7 @@ def fit(
     done: list[_Fitted] = []
     for found in share_out(fit_some, measured):
         done.append(found)
-        if progress is not None:
-            progress(len(found.error))
+        progress(sum(len(one.error) for one in done), len(measured))
     status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
     error = torch.cat([found.error for found in done])
     for k, count in enumerate(torch.cat([found.counts for found in done]).tolist()):

@@ -1,30 +1,50 @@
 """What a fit found, and its files."""
 
-import csv
-import io
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
-from torchbrdf.files import write_text
+from torchbrdf.files import write_csv
 from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.strategy import Stage
-from torchbrdf.lobes import Lambert, Lobe, model_name, model_of, number, parameters, read_fits, write_fits
+from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, write_fits
 
 
 @dataclass
 class FitResult:
     """One model fitted to M materials under one loss.
 
-    `model` is batched; `error` is scored on every valid sample within `max_theta`, `subset_error` on the samples that
-    the solver saw, `(M,)` each; `status` says of each material whether the solver converged, and `reason` why not;
-    `scene` says what a rendered loss saw; `starts` is how many starts the strategy tried, `ties` how many other minima
-    of each material came within 1 % of the best on the subset; `history` has the stages. `seconds` is the time of the
-    whole batch.
+    Args:
+        names: Of the materials.
+        model: Batched, with the parameters that were found.
+        loss: Registered name of the loss.
+        strategy: Registered name of the strategy.
+        diffuse: `45:0`, where the diffuse albedo was measured and held, or `fit`.
+        error: On every valid sample within `max_theta`, `(M,)`, float64.
+        subset_error: On the samples that the solver saw, `(M,)`, float64.
+        status: Whether the solver converged, of each material.
+        reason: Why it did not; empty where it did.
+        starts: How many starts the strategy tried.
+        ties: How many other minima of each material came within 1 % of the best on the subset.
+        seconds: Of the whole batch.
+        max_theta: Largest angle from the normal of the pairs that counted, in degrees.
+        samples: How many pairs the solver saw; None: every one.
+        seed: Of the subset.
+        scene: What a rendered loss saw.
+        history: The stages.
+
+    Example:
+        >>> from torchbrdf import fit, load
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import standins
+        >>> nylon = load(standins()).batch([7])
+        >>> result = fit(make_model("ward", 1), nylon, RMSLoss(), samples=200, max_theta=20)
+        >>> [(record.material, record.status) for record in result.records()]
+        [('nylon', 'converged')]
     """
 
     names: list[str]
@@ -45,66 +65,38 @@ class FitResult:
     scene: str = ""
     history: list[Stage] = field(default_factory=list)
 
-    def records(self) -> list[dict[str, Any]]:
-        """One plain dictionary a material, as in `fits.json`."""
+    def records(self) -> list[FitRecord]:
+        """One record a material, as `fits.json` holds them."""
         name, lobes = model_name(self.model)
         return [
-            {
-                "material": material,
-                "model": name,
-                "lobes": lobes,
-                "loss": self.loss,
-                "strategy": self.strategy,
-                "error": self.error[k].item(),
-                "subset_error": self.subset_error[k].item(),
-                "status": str(self.status[k]),
-                "reason": self.reason[k],
-                "starts": self.starts,
-                "ties": self.ties[k],
-                "at_bounds": at_bounds(self.model, k, self.diffuse == "fit"),
-                "seconds": self.seconds / len(self.names),
-                "max_theta": self.max_theta,
-                "samples": self.samples,
-                "seed": self.seed,
-                **({"scene": self.scene} if self.scene else {}),
-                "diffuse": self.diffuse,
-                "iterations": sum(stage.iterations[k] for stage in self.history),
-                "parameters": parameters(self.model, k),
-            }
+            FitRecord(
+                material=material,
+                model=name,
+                lobes=lobes,
+                parameters=parameters(self.model, k),
+                loss=self.loss,
+                strategy=self.strategy,
+                error=self.error[k].item(),
+                subset_error=self.subset_error[k].item(),
+                status=str(self.status[k]),
+                reason=self.reason[k],
+                starts=self.starts,
+                ties=self.ties[k],
+                at_bounds=at_bounds(self.model, k, self.diffuse == "fit"),
+                seconds=self.seconds / len(self.names),
+                max_theta=self.max_theta,
+                samples=self.samples,
+                seed=self.seed,
+                scene=self.scene,
+                diffuse=self.diffuse,
+                iterations=sum(stage.iterations[k] for stage in self.history),
+            )
             for k, material in enumerate(self.names)
         ]
 
     def save(self, path: Path | str) -> None:
-        """Write `fits.json`: a list of `records`."""
+        """Write `fits.json`, of which `torchbrdf.read_fits` gives the records, and `torchbrdf.model_of` their model."""
         write_fits(path, self.records())
-
-    @classmethod
-    def load(cls, path: Path | str) -> "FitResult":
-        """Read what `save` wrote; the stages are not kept in the file."""
-        records = read_fits(path)
-        common = ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed")
-        mixed = [key for key in common if len({record[key] for record in records}) != 1]
-        if mixed:
-            raise DataError(f"{path}: expected the fits of one model under one loss, found several: {', '.join(mixed)}")
-        first = records[0]
-        return cls(
-            names=[record["material"] for record in records],
-            model=model_of(records),
-            loss=first["loss"],
-            strategy=first["strategy"],
-            diffuse=first["diffuse"],
-            error=torch.tensor([number(record["error"]) for record in records], dtype=torch.float64),
-            subset_error=torch.tensor([number(record["subset_error"]) for record in records], dtype=torch.float64),
-            status=[Status(record["status"]) for record in records],
-            reason=[record.get("reason", "") for record in records],
-            starts=first.get("starts", 1),
-            ties=[record.get("ties", 0) for record in records],
-            seconds=sum(record["seconds"] for record in records),
-            max_theta=first["max_theta"],
-            samples=first["samples"],
-            seed=first["seed"],
-            scene=first.get("scene", ""),
-        )
 
 
 def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
@@ -127,15 +119,14 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     return found
 
 
-def write_csv(path: Path | str, records: list[dict[str, Any]]) -> None:
-    """Write records flat: one column a number."""
-    rows = [_flat(record) for record in records]
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:
+    """Write records as CSV, one column a number: `roughness_1` is that of the second lobe.
+
+    Args:
+        path: The file.
+        records: Of fits, of any models.
+    """
+    write_csv(path, [_flat(record.to_json()) for record in records])
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

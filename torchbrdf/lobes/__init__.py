@@ -10,7 +10,7 @@ from torchbrdf.lobes.distribution_based import DistributionBased, distribution_b
 from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
-from torchbrdf.lobes.records import model_of, number, read_fits, write_fits
+from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
@@ -22,6 +22,7 @@ __all__ = [
     "BoundedParameter",
     "CookTorrance",
     "DistributionBased",
+    "FitRecord",
     "Lambert",
     "Lobe",
     "LowABC",
@@ -42,7 +43,6 @@ __all__ = [
     "make_model",
     "model_name",
     "model_of",
-    "number",
     "parameters",
     "read_fits",
     "schlick",

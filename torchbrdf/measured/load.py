@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured.measured import FORMATS, Measured, BrdfFormat
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
 
 log = logging.getLogger("torchbrdf")
 

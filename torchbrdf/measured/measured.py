@@ -80,7 +80,7 @@ class BrdfFormat(ABC):
         """
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon: here those of the nearest valid sample, whatever the interpolation.
+        """Values at any pairs, zero below the horizon: here those of the nearest valid sample.
 
         Args:
             pairs: `(1, N)`, or `(m, N)` with pairs of each material's own; dtype and device of the values are theirs.

@@ -4,13 +4,12 @@ import importlib.resources
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, TorchbrdfError
-from torchbrdf.lobes import Sum, model_of, read_fits
+from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.merl import bin_centers
@@ -29,12 +28,12 @@ class StandIn(BrdfFormat):
     format = "fits"
     stand_in = True
 
-    def __init__(self, records: list[dict[str, Any]], paths: Sequence[Path]) -> None:
+    def __init__(self, records: list[FitRecord], paths: Sequence[Path]) -> None:
         self.records = records
         self.paths = list(paths)
-        materials = [record["material"] for record in records]
+        materials = [record.material for record in records]
         self.names = [
-            record["material"] if materials.count(record["material"]) == 1 else _full_name(record) for record in records
+            record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
         self.pairs = bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
@@ -47,7 +46,7 @@ class StandIn(BrdfFormat):
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "StandIn":
         """Read records of fits; a DataError says what is wrong with which."""
-        records: list[dict[str, Any]] = []
+        records: list[FitRecord] = []
         origin: list[Path] = []
         for path in paths:
             found = read_fits(path)
@@ -82,7 +81,7 @@ class StandIn(BrdfFormat):
         kinds: dict[tuple[str, int], list[int]] = {}
         for row, material in enumerate(materials):
             record = self.records[material]
-            kinds.setdefault((record["model"], record["lobes"]), []).append(row)
+            kinds.setdefault((record.model, record.lobes), []).append(row)
         return [
             (rows, model_of([self.records[materials[row]] for row in rows]).to(device, dtype))
             for rows in kinds.values()
@@ -101,5 +100,5 @@ def standins() -> Path:
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
 
 
-def _full_name(record: dict[str, Any]) -> str:
-    return "-".join([record["material"], record["model"], str(record["lobes"]), str(record.get("loss", ""))])
+def _full_name(record: FitRecord) -> str:
+    return "-".join([record.material, record.model, str(record.lobes), record.loss])

@@ -1,24 +1,14 @@
-"""What a study finds, in tables, figures and a page."""
+"""What experiments find, in tables, figures and pages."""
 
-from torchbrdf.report.asked import ask_simulated, plan_of
-from torchbrdf.report.gallery import Gallery
+from torchbrdf.report.grid_page import write_grid_report
 from torchbrdf.report.human_page import HumanPage, write_human_report
 from torchbrdf.report.images_page import write_images_report
-from torchbrdf.report.metric_page import MetricPage, write_metric_report
-from torchbrdf.report.page import write_report
-from torchbrdf.report.study import STANDINS, Study, gather
+from torchbrdf.report.metric_page import write_metric_report
 
 __all__ = [
-    "STANDINS",
-    "Gallery",
     "HumanPage",
-    "MetricPage",
-    "Study",
-    "ask_simulated",
-    "gather",
-    "plan_of",
+    "write_grid_report",
     "write_human_report",
     "write_images_report",
     "write_metric_report",
-    "write_report",
 ]

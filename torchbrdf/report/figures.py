@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from torchbrdf.experiment.grid import FitGrid
+from torchbrdf.experiment.labels import caveat, loss_label
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.lobes import model_of
+from torchbrdf.lobes import FitRecord, model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.report.drawing import COLORS, drawing, marked
-from torchbrdf.report.labels import loss_label
-from torchbrdf.report.study import Study
+from torchbrdf.report.style import COLORS, new_figure
 
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
 
@@ -26,7 +26,7 @@ def gloss_figure(
 ) -> None:
     """Figure 1: distinctness of image and contrast gloss, materials sorted by the first."""
     order = np.argsort(doi)
-    with drawing(path, 9, 0.28 * len(names) + 1.6, marked(stand_in)) as figure:
+    with new_figure(path, 9, 0.28 * len(names) + 1.6, caveat(stand_in)) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         rows = np.arange(len(names))
         left.barh(rows, np.asarray(doi)[order], color="#4c72b0")
@@ -42,7 +42,7 @@ def gloss_figure(
 def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequence[Path]], stand_in: bool) -> None:
     """Figure 3: a row of pictures for the reference and for each metric, a column for each material."""
     layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0, hspace=0)
-    with drawing(path, 1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5, marked(stand_in), layout) as figure:
+    with new_figure(path, 1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5, caveat(stand_in), layout) as figure:
         panels = np.atleast_2d(figure.subplots(len(rows), len(materials), squeeze=False))
         for line, (label, pictures) in zip(panels, rows.items(), strict=True):
             for panel, picture in zip(line, pictures, strict=True):
@@ -53,15 +53,15 @@ def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequenc
             panel.set_title(name, fontsize=8)
 
 
-def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]]) -> None:
+def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) -> None:
     """Figure 4's plots for one material and model: cube roots of the BRDF in the plane of incidence, green channel.
 
     One panel for each incident angle against the outgoing angle, and one that magnifies the lobe at 30 degrees: the
     angle off the mirror direction on a logarithmic scale.
     """
-    material = group.batch([group.names.index(records[0]["material"])])
+    material = group.batch([group.names.index(records[0].material)])
     model = model_of(list(records))
-    with drawing(path, 11, 2.6, marked(group.stand_in)) as figure:
+    with new_figure(path, 11, 2.6, caveat(group.stand_in)) as figure:
         panels = figure.subplots(1, len(INCIDENT) + 1)
         for panel, incident in zip(panels, INCIDENT, strict=False):
             off = np.concatenate([-np.geomspace(150, 0.02, 150), np.geomspace(0.02, 80, 100)])
@@ -78,20 +78,20 @@ def profile_figure(path: Path, group: Measured, records: Sequence[dict[str, Any]
 
 
 def quality_figure(
-    path: Path, order: Sequence[str], records: Sequence[dict[str, Any]], models: Sequence[str], losses: Iterable[str],
+    path: Path, order: Sequence[str], records: Sequence[FitRecord], models: Sequence[str], losses: Iterable[str],
     difference: str, stand_in: bool,
 ) -> None:  # fmt: skip
     """An image difference of every fit, one panel a model, materials by rising DoI; outliers in a black rectangle."""
     kind = DIFFERENCES[difference]
-    with drawing(path, 4.2 * len(models), 3.6, marked(stand_in)) as figure:
+    with new_figure(path, 4.2 * len(models), 3.6, caveat(stand_in)) as figure:
         panels = np.atleast_1d(figure.subplots(1, len(models), sharey=True))
         for panel, model in zip(panels, models, strict=True):
             for loss in losses:
-                own = {r["material"]: r for r in records if r["model"] == model and r["loss"] == loss}
-                values = [own[name]["differences"][difference] for name in order]
+                own = {r.material: r for r in records if r.model == model and r.loss == loss}
+                values = [own[name].differences[difference] for name in order]
                 panel.plot(range(len(order)), values, "o-", ms=4, lw=1, color=COLORS.get(loss), label=loss)
                 for k, name in enumerate(order):
-                    if own[name]["outlier"]:
+                    if own[name].outlier:
                         panel.plot(k, values[k], "s", ms=10, mfc="none", mec="black")
             panel.set_title(model.replace("_", "-"))
             panel.set_xticks(range(len(order)), order, rotation=60, ha="right")
@@ -100,31 +100,31 @@ def quality_figure(
         panels[-1].legend(frameon=False)
 
 
-def beside_figure(path: Path, study: Study, ratio: np.ndarray, gain: np.ndarray) -> None:
+def strategies_figure(path: Path, grid: FitGrid, ratio: np.ndarray, gain: np.ndarray) -> None:
     """How many fits of each model either strategy leaves stuck, and what lower errors do for the pictures."""
-    ours = study.drawn(study.strategy)
-    with drawing(path, 10, 3.6, marked(study.stand_in)) as figure:
+    ours = grid.by_strategy(grid.strategy)
+    with new_figure(path, 10, 3.6, caveat(grid.stand_in)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
         height = 0.38
-        for k, strategy in enumerate(reversed(study.strategies)):
-            records = study.drawn(strategy)
-            counts = [sum(r["outlier"] for r in records if r["model"] == model) for model in study.models]
+        for k, strategy in enumerate(reversed(grid.strategies)):
+            records = grid.by_strategy(strategy)
+            counts = [sum(bool(r.outlier) for r in records if r.model == model) for model in grid.models]
             place = np.arange(len(counts)) + (k - 0.5) * height
             bars = left.barh(place, counts, height, label=strategy, color=("#c44e52", "#4c72b0")[k])
             left.bar_label(bars, padding=3)
-        left.set_yticks(range(len(study.models)), [model.replace("_", "-") for model in study.models])
+        left.set_yticks(range(len(grid.models)), [model.replace("_", "-") for model in grid.models])
         left.invert_yaxis()
         left.margins(x=0.12)
-        left.set_xlabel(f"fits stuck in a local minimum, of {len(ours) // len(study.models)} a model")
+        left.set_xlabel(f"fits stuck in a local minimum, of {len(ours) // len(grid.models)} a model")
         left.legend(frameon=False)
-        for loss in study.losses:
-            chosen = np.array([record["loss"] == loss for record in ours])
+        for loss in grid.losses:
+            chosen = np.array([record.loss == loss for record in ours])
             right.plot(ratio[chosen], gain[chosen], "o", ms=5, alpha=0.8, color=COLORS.get(loss), label=loss)
         right.axhline(0, color="grey", lw=0.8)
         right.axvline(1, color="grey", lw=0.8)
         right.set(
-            xscale="log", xlabel=f"error, {study.beside} over {study.strategy}",
-            ylabel=f"Delta E, {study.beside} less {study.strategy}\n(above 0: {study.strategy} looks closer)",
+            xscale="log", xlabel=f"error, {grid.compare_strategy} over {grid.strategy}",
+            ylabel=f"Delta E, {grid.compare_strategy} less {grid.strategy}\n(above 0: {grid.strategy} looks closer)",
         )  # fmt: skip
         right.xaxis.set_minor_formatter("{x:g}")
         right.xaxis.set_major_formatter("{x:g}")
@@ -136,7 +136,7 @@ def bars_figure(
     path: Path, means: Mapping[str, Mapping[str, Sequence[float]]], rendered: Sequence[str], stand_in: bool
 ) -> None:
     """Colour differences of the fits under each loss, a panel a scene; `means[scene][loss]`, one number a fit."""
-    with drawing(path, 5.2 * len(means), 0.32 * len(next(iter(means.values()))) + 1.2, marked(stand_in)) as figure:
+    with new_figure(path, 5.2 * len(means), 0.32 * len(next(iter(means.values()))) + 1.2, caveat(stand_in)) as figure:
         panels = np.atleast_1d(figure.subplots(1, len(means), sharey=True))
         for panel, (scene, losses) in zip(panels, means.items(), strict=True):
             for row, (loss, values) in enumerate(losses.items()):
@@ -150,7 +150,7 @@ def bars_figure(
 
 
 def _curves(
-    panel: Any, material: Measured, model: Any, records: Sequence[dict[str, Any]], incident: float,
+    panel: Any, material: Measured, model: Any, records: Sequence[FitRecord], incident: float,
     outgoing: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
     """Cube roots of the green channel, measured and fitted, with the mirror direction at +incident."""
@@ -159,7 +159,7 @@ def _curves(
         fitted = model(pairs.to(dtype=torch.float32))
     panel.plot(x, np.cbrt(material.at(pairs)[0, :, 1].clamp_min(0).numpy()), color="black", lw=1.6, label="measured")
     for record, values in zip(records, fitted, strict=True):
-        loss = record["loss"]
+        loss = record.loss
         panel.plot(x, np.cbrt(values[:, 1].numpy()), lw=1, color=COLORS.get(loss), label=loss)
 
 

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from torchbrdf.experiment.labels import caveat, loss_label
 from torchbrdf.files import write_text
 from torchbrdf.losses import LearnedLoss
 from torchbrdf.perception import FACTORS, BenchmarkData, Table
 from torchbrdf.perception.agreement.table import LABELS, LEFT_OUT, ODD_METHOD
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
-from torchbrdf.report.drawing import COLORS, drawing, marked
-from torchbrdf.report.inline import png, template
-from torchbrdf.report.labels import Cell, loss_label
+from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.style import COLORS, new_figure
+from torchbrdf.report.tables import Column, table
+from torchbrdf.report.tables import Table as PageTable
 
 TITLE = "Which BRDF metric agrees with people?"
 RIVALS = ("cuberoot", "compressed")
@@ -49,13 +51,13 @@ class HumanPage:
 def write_human_report(folder: Path, table: Table, subjects: BenchmarkData, said: HumanPage) -> Path:
     """Draw the figure and write `report.html`; gives its path."""
     figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, marked(said.stand_in, SYNTHETIC if said.made_up else ""))
+    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.made_up else ""))
     opinions, triplets = subjects.opinions, subjects.triplets
     page = template("human.html").render(
         title=TITLE,
         said=said,
         findings=[*findings(table), *([] if said.made_up else trained(table))],
-        figure=png(figure),
+        figure=embed_png(figure),
         tables=[
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),
@@ -120,7 +122,7 @@ def agreement_figure(path: Path, table: Table, mark: str) -> None:
     """A panel for each statistic: agreement of every loss with its interval, chance, and the ceiling."""
     shown = _columns(table)
     rows = np.arange(len(table.losses))
-    with drawing(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
+    with new_figure(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
         panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for panel, s in zip(panels, shown, strict=True):
             for k, name in enumerate(table.losses):
@@ -151,65 +153,70 @@ def _wrapped(text: str) -> str:
     return "\n".join(lines)
 
 
-def _agreement_tables(table: Table) -> list[dict[str, Any]]:
+def _agreement_tables(scores: Table) -> list[PageTable]:
     """Agreement with intervals and the ceilings; the columns with each added method in a table of their own."""
     note = (
         "Share of comparisons that a loss orders as people do, with its 95 % interval over materials; 0.5 is chance. "
         "Bold: the best. In the head: how many comparisons. Ceiling: what disagreement between people lets anything "
         "reach."
     )
-    tables = [{"title": "Agreement with people", "note": note, **_agreement(table, _columns(table))}]
-    for method in dict.fromkeys(one.added for one in table.statistics if one.added):
+    tables = [_agreement_table(scores, "Agreement with people", note, _columns(scores))]
+    for method in dict.fromkeys(one.added for one in scores.statistics if one.added):
         note = f"As in the first table, with {method}" + (f": {_ADDED[method]}" if method in _ADDED else ".")
-        tables.append({"title": f"With {method}", "note": note, **_agreement(table, _columns(table, method))})
+        tables.append(_agreement_table(scores, f"With {method}", note, _columns(scores, method)))
     return tables
 
 
-def _columns(table: Table, added: str = "") -> list[int]:
+def _columns(scores: Table, added: str = "") -> list[int]:
     """The main columns, or those with one method added."""
-    return [s for s, one in enumerate(table.statistics) if one.added == added]
+    return [s for s, one in enumerate(scores.statistics) if one.added == added]
 
 
-def _agreement(table: Table, columns: Sequence[int]) -> dict[str, Any]:
-    head = ["loss", *(f"{table.statistics[s].label} ({table.statistics[s].count:,})" for s in columns)]
-    rows = []
-    for k, name in enumerate(table.losses):
-        values = [table.value[k, s] for s in columns]
-        if not any(bool(value.isfinite()) for value in values):
-            continue
-        best = [bool(value == table.value[:, s].nan_to_num(-1).max()) for value, s in zip(values, columns, strict=True)]
-        rows.append(
-            [
-                Cell(label(name)),
-                *(
-                    Cell(_span(table.value[k, s], table.low[k, s], table.high[k, s]), top)
-                    for s, top in zip(columns, best, strict=True)
-                ),
-            ]
+def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int]) -> PageTable:
+    """Agreement of each loss, and the ceiling in the last row, which is no rival."""
+    ceiling = len(scores.losses)
+
+    def agreement(s: int) -> Column[int]:
+        one = scores.statistics[s]
+
+        def value(row: int) -> Sequence[Any]:
+            if row == ceiling:
+                return scores.ceiling[s], scores.ceiling_low[s], scores.ceiling_high[s]
+            return scores.value[row, s], scores.low[row, s], scores.high[row, s]
+
+        best = scores.value[:, s].nan_to_num(-1).max()
+        return Column(
+            f"{one.label} ({one.count:,})",
+            value,
+            lambda found: _span(*found),
+            bold=lambda row: row != ceiling and bool(scores.value[row, s] == best),
         )
-    ends = (table.ceiling, table.ceiling_low, table.ceiling_high)
-    rows.append([Cell("ceiling: people"), *(Cell(_span(ends[0][s], ends[1][s], ends[2][s])) for s in columns)])
-    return {"head": head, "rows": rows}
+
+    rows = [k for k in range(ceiling) if bool(scores.value[k, list(columns)].isfinite().any())]
+    head = Column[int]("loss", lambda row: "ceiling: people" if row == ceiling else label(scores.losses[row]))
+    return table(title, note, [*rows, ceiling], [head, *map(agreement, columns)])
 
 
-def _difference_table(table: Table, rival: str) -> dict[str, Any]:
+def _difference_table(scores: Table, rival: str) -> PageTable:
     """How much more often each loss agrees with people than one of them."""
-    close = [s for s in _columns(table, FACTORS) if not table.statistics[s].key.startswith("across")]
-    columns = [*_columns(table), *close]
-    rows = []
-    for name in table.losses:
-        if name == rival or name.startswith(THEIRS):
-            continue
-        value, low, high = table.difference(name, rival)
-        rows.append(
-            [Cell(label(name)), *(Cell(_span(value[s], low[s], high[s], "+"), bool(low[s] > 0)) for s in columns)]
+    close = [s for s in _columns(scores, FACTORS) if not scores.statistics[s].key.startswith("across")]
+    rows = [name for name in scores.losses if name != rival and not name.startswith(THEIRS)]
+    found = {name: scores.difference(name, rival) for name in rows}
+
+    def difference(s: int) -> Column[str]:
+        return Column(
+            scores.statistics[s].label,
+            lambda name: [part[s] for part in found[name]],
+            lambda own: _span(own[0], own[1], own[2], "+"),
+            bold=lambda name: bool(found[name][1][s] > 0),
         )
+
     note = (
         f"Agreement minus that of {label(rival)}, with the paired 95 % interval: both see the same drawn materials. "
         "Bold: all of the interval is above 0."
     )
-    head = ["loss", *(table.statistics[s].label for s in columns)]
-    return {"title": f"Better than {label(rival)}?", "note": note, "head": head, "rows": rows}
+    columns = [Column("loss", label), *map(difference, [*_columns(scores), *close])]
+    return table(f"Better than {label(rival)}?", note, rows, columns)
 
 
 def _span(value: Any, low: Any, high: Any, sign: str = "") -> str:

@@ -6,50 +6,56 @@ from typing import Any
 
 import numpy as np
 
+from torchbrdf.experiment import statistics
+from torchbrdf.experiment.grid import FitGrid, picture_name
+from torchbrdf.experiment.labels import difference_label, loss_label, model_label
+from torchbrdf.experiment.pictures import BRIGHTEST, DIFFERENCE, Pictures
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import ObservedLoss
-from torchbrdf.report import numbers
+from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import bars_figure, grid_figure
-from torchbrdf.report.gallery import BRIGHTEST, Gallery
-from torchbrdf.report.inline import png, small, template
-from torchbrdf.report.labels import Cell, difference_label, loss_label, model_label
-from torchbrdf.report.study import Study, picture
+from torchbrdf.report.tables import Column, Table, table
 
 TITLE = "Which metric stands in for looking at pictures?"
-DELTA_E = "delta_e76"
 
 
-def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, problems: Sequence[str]) -> Path:
-    """Write `report.html` for a study whose fits and pictures are done; gives its path.
+def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str, problems: Sequence[str]) -> Path:
+    """Write `report.html` for a grid whose fits and pictures are done.
 
-    scenes: of each scene what it is, in words, the training scene first. used: what rendered losses saw, in words.
+    Args:
+        pictures: Of the grid, in two scenes.
+        scenes: Of each scene what it is, in words, the training scene first.
+        used: What rendered losses saw, in words.
+        problems: What was left out.
+
+    Returns:
+        The path of the page.
     """
-    study, folder = gallery.study, gallery.study.folder.path
+    grid, folder = pictures.grid, pictures.grid.folder.path
     training, unseen = scenes
-    rendered = [name for name, loss in study.losses.items() if isinstance(loss, ObservedLoss)]
-    analytic = [name for name in study.losses if name not in rendered]
+    rendered = [name for name, loss in grid.losses.items() if isinstance(loss, ObservedLoss)]
+    analytic = [name for name in grid.losses if name not in rendered]
     figure = folder / "figures" / "losses.png"
-    means = {scene: {x: _values(gallery.seen(scene), x) for x in study.losses} for scene in scenes}
-    stand_in = study.stand_in
-    bars_figure(figure, means, rendered, stand_in)
+    means = {scene: {x: _values(pictures.seen(scene), x) for x in grid.losses} for scene in scenes}
+    bars_figure(figure, means, rendered, grid.stand_in)
     for scene in scenes:
-        for model in study.models:
-            _grid(gallery, scene, model, stand_in)
+        for model in grid.models:
+            _grid_figure(pictures, scene, model)
     page = template("images.html").render(
         title=TITLE,
-        study=study,
-        stand_in=stand_in,
+        grid=grid,
+        stand_in=grid.stand_in,
         problems=problems,
-        findings=findings(gallery, training, unseen, analytic, rendered),
+        findings=findings(pictures, training, unseen, analytic, rendered),
         brightest=f"{BRIGHTEST:g}",
-        blocks=[_block(gallery, scene, model, scenes) for scene in (unseen, training) for model in study.models],
-        figure=png(figure),
+        blocks=[_block(pictures, scene, model, scenes) for scene in (unseen, training) for model in grid.models],
+        figure=embed_png(figure),
         tables=[
-            *(_judged(gallery, scene, scenes[scene]) for scene in (unseen, training)),
-            *(_stands_in(gallery, scene, analytic + rendered) for scene in (unseen, training)),
-            _own_errors(study),
-            _costs(study),
+            *(_difference_table(pictures, scene, scenes[scene]) for scene in (unseen, training)),
+            *(_agreement_table(pictures, scene, analytic + rendered) for scene in (unseen, training)),
+            _error_table(grid),
+            _cost_table(grid),
         ],
         scenes={"training": scenes[training], "unseen": scenes[unseen]},
         used=used,
@@ -60,12 +66,12 @@ def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, 
     return path
 
 
-def findings(gallery: Gallery, training: str, unseen: str, analytic: list[str], rendered: list[str]) -> list[str]:
+def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str], rendered: list[str]) -> list[str]:
     """What the numbers say, in sentences."""
-    study = gallery.study
-    seen = gallery.seen(unseen)
+    grid = pictures.grid
+    seen = pictures.seen(unseen)
     agree = {
-        metric: np.mean([numbers.agreement(seen, metric, difference) for difference in gallery.differences])
+        metric: np.mean([statistics.rank_agreement(seen, metric, difference) for difference in pictures.differences])
         for metric in analytic
     }
     order = sorted(analytic, key=lambda metric: -agree[metric])
@@ -77,7 +83,7 @@ def findings(gallery: Gallery, training: str, unseen: str, analytic: list[str], 
         + "."
     ]
     for scene in (unseen, training):
-        mean = {x: float(np.mean(_values(gallery.seen(scene), x))) for x in study.losses}
+        mean = {x: float(np.mean(_values(pictures.seen(scene), x))) for x in grid.losses}
         best, bought = (min(part, key=lambda x: mean[x]) for part in (analytic, rendered))
         lines.append(
             f"In the {scene} scene the fits under {loss_label(best)} look best of those under analytic metrics (mean "
@@ -90,118 +96,122 @@ def findings(gallery: Gallery, training: str, unseen: str, analytic: list[str], 
         lines.append(
             f"{loss_label(loss)}: in the unseen scene no farther from the reference than the best of all "
             f"{len(analytic)} analytic metrics in {count} of {len(ours)} fits. A fit took "
-            f"{_seconds(study, loss):.1f} s; analytic ones {min(_seconds(study, x) for x in analytic):.2f} to "
-            f"{max(_seconds(study, x) for x in analytic):.2f} s."
+            f"{_seconds(grid, loss):.1f} s; analytic ones {min(_seconds(grid, x) for x in analytic):.2f} to "
+            f"{max(_seconds(grid, x) for x in analytic):.2f} s."
         )
     return lines
 
 
-def _values(records: numbers.Records, loss: str) -> list[float]:
-    return [record["differences"][DELTA_E] for record in records if record["loss"] == loss]
+def _values(records: statistics.Records, loss: str) -> list[float]:
+    return [record.differences[DIFFERENCE] for record in records if record.loss == loss]
 
 
-def _by_fit(records: numbers.Records, loss: str) -> dict[tuple[str, str], float]:
-    return {(r["material"], r["model"]): r["differences"][DELTA_E] for r in records if r["loss"] == loss}
+def _by_fit(records: statistics.Records, loss: str) -> dict[tuple[str, str], float]:
+    return {(r.material, r.model): r.differences[DIFFERENCE] for r in records if r.loss == loss}
 
 
-def _seconds(study: Study, loss: str) -> float:
-    return float(np.mean([record["seconds"] for record in study.shown if record["loss"] == loss]))
+def _seconds(grid: FitGrid, loss: str) -> float:
+    return float(np.mean([record.seconds for record in grid.shown if record.loss == loss]))
 
 
-def _block(gallery: Gallery, scene: str, model: str, scenes: Mapping[str, str]) -> dict[str, Any]:
+def _block(pictures: Pictures, scene: str, model: str, scenes: Mapping[str, str]) -> dict[str, Any]:
     """The pictures of one model's fits in one scene."""
-    study = gallery.study
+    grid = pictures.grid
     rows = []
-    for material in study.materials:
+    for material in grid.materials:
         fits = []
-        for loss in study.losses:
-            record = study.record(material, model, loss)
-            name = study.picture(record)
+        for loss in grid.losses:
+            record = grid.record(material, model, loss)
+            name = grid.picture(record)
             fits.append(
                 {
                     "loss": loss_label(loss),
-                    "image": small(gallery.path(scene, name)),
-                    "map": small(gallery.path(scene, f"map-{name}")),
-                    "delta_e": record["pictures"][scene][DELTA_E],
+                    "image": embed_webp(pictures.path(name, scene)),
+                    "map": embed_webp(pictures.path(f"map-{name}", scene)),
+                    "delta_e76": record.pictures[scene][DIFFERENCE],
                 }
             )
-        rows.append({"material": material, "reference": small(gallery.path(scene, picture(material))), "fits": fits})
+        reference = embed_webp(pictures.path(picture_name(material), scene))
+        rows.append({"material": material, "reference": reference, "fits": fits})
     label = f"{model_label(model)}, {scene} scene ({scenes[scene]})"
-    return {"label": label, "losses": [loss_label(loss) for loss in study.losses], "rows": rows}
+    return {"label": label, "losses": [loss_label(loss) for loss in grid.losses], "rows": rows}
 
 
-def _grid(gallery: Gallery, scene: str, model: str, stand_in: bool) -> None:
+def _grid_figure(pictures: Pictures, scene: str, model: str) -> None:
     """The pictures of one model's fits in one scene as a figure."""
-    study = gallery.study
-    lines = {"reference": [gallery.path(scene, picture(material)) for material in study.materials]}
-    for loss in study.losses:
-        records = [study.record(material, model, loss) for material in study.materials]
-        lines[loss_label(loss)] = [gallery.path(scene, study.picture(record)) for record in records]
-    path = study.folder.path / "figures" / f"{scene}-{model}.png"
-    grid_figure(path, study.materials, lines, stand_in)
+    grid = pictures.grid
+    lines = {"reference": [pictures.path(picture_name(material), scene) for material in grid.materials]}
+    for loss in grid.losses:
+        records = [grid.record(material, model, loss) for material in grid.materials]
+        lines[loss_label(loss)] = [pictures.path(grid.picture(record), scene) for record in records]
+    grid_figure(grid.folder.path / "figures" / f"{scene}-{model}.png", grid.materials, lines, grid.stand_in)
 
 
-def _judged(gallery: Gallery, scene: str, words: str) -> dict[str, Any]:
+def _difference_table(pictures: Pictures, scene: str, words: str) -> Table:
     """Mean image differences of the fits under each loss."""
-    study, seen = gallery.study, gallery.seen(scene)
-    rows = []
-    columns = {}
-    for difference in gallery.differences:
-        kind = DIFFERENCES[difference]
-        mean = {x: numbers.mean_difference(seen, x, difference) for x in study.losses}
-        columns[difference] = mean, (max if kind.higher_is_better else min)(mean.values())
-    for loss in study.losses:
-        cells = [Cell(loss_label(loss))]
-        cells += [Cell(f"{mean[loss]:.3f}", mean[loss] == best) for mean, best in columns.values()]
-        rows.append(cells)
-    head = ["fits under", *(difference_label(difference) for difference in gallery.differences)]
+    seen = pictures.seen(scene)
+
+    def difference(name: str) -> Column[str]:
+        best = max if DIFFERENCES[name].higher_is_better else min
+        return Column(difference_label(name), lambda loss: statistics.mean_difference(seen, loss, name), ".3f", best)
+
     note = f"Means over all materials and models, in the {scene} scene ({words}). Bold: the best."
-    return {"title": f"Fits judged by pictures: {scene} scene", "note": note, "head": head, "rows": rows}
+    columns = [Column("fits under", loss_label), *map(difference, pictures.differences)]
+    return table(f"Fits judged by pictures: {scene} scene", note, pictures.grid.losses, columns)
 
 
-def _stands_in(gallery: Gallery, scene: str, metrics: list[str]) -> dict[str, Any]:
+def _agreement_table(pictures: Pictures, scene: str, metrics: Sequence[str]) -> Table:
     """How each metric ranks fits, beside how image differences do."""
-    seen = gallery.seen(scene)
-    rows = []
-    for metric in metrics:
-        values = [numbers.agreement(seen, metric, difference) for difference in gallery.differences]
-        rows.append([Cell(loss_label(metric)), *(Cell(f"{value:.2f}") for value in [*values, float(np.mean(values))])])
-    head = ["metric", *(difference_label(difference) for difference in gallery.differences), "mean"]
+    seen = pictures.seen(scene)
+
+    def agreement(name: str) -> Column[str]:
+        return Column(difference_label(name), lambda metric: statistics.rank_agreement(seen, metric, name), ".2f")
+
+    def mean(metric: str) -> float:
+        return float(np.mean([statistics.rank_agreement(seen, metric, name) for name in pictures.differences]))
+
     note = (
         "Spearman's rank correlation between a metric's error and an image difference over all fits of a material "
         f"(every model and loss), averaged over materials, in the {scene} scene; 1: always in the same order."
     )
-    return {"title": f"Which metric stands in for pictures: {scene} scene", "note": note, "head": head, "rows": rows}
+    columns = [Column("metric", loss_label), *map(agreement, pictures.differences), Column("mean", mean, ".2f")]
+    return table(f"Which metric stands in for pictures: {scene} scene", note, metrics, columns)
 
 
-def _own_errors(study: Study) -> dict[str, Any]:
-    """Every error under every loss, relative to the least."""
-    rows = []
-    for loss in study.losses:
-        ratios = []
-        for metric in study.losses:
-            own = {(r["material"], r["model"]): r["errors"][metric] for r in study.shown if r["loss"] == metric}
-            theirs = [(r, own[r["material"], r["model"]]) for r in study.shown if r["loss"] == loss]
-            ratios.append(float(np.median([r["errors"][metric] / least if least else 1.0 for r, least in theirs])))
-        rows.append([Cell(loss_label(loss)), *(Cell(f"{ratio:.2f}") for ratio in ratios)])
+def _error_table(grid: FitGrid) -> Table:
+    """Every error under every loss, relative to that of the loss's own fits."""
+
+    def ratio(metric: str) -> Column[str]:
+        own = {(r.material, r.model): r.errors[metric] for r in grid.shown if r.loss == metric}
+
+        def value(loss: str) -> float:
+            theirs = [(r.errors[metric], own[r.material, r.model]) for r in grid.shown if r.loss == loss]
+            return float(np.median([error / least if least else 1.0 for error, least in theirs]))
+
+        return Column(loss_label(metric), value, ".2f")
+
     note = (
         "The error of the fits under the loss of a row, measured by the loss of a column, over that of the column's "
         "own fits; the median over materials and models."
     )
-    head = ["fits under", *(loss_label(loss) for loss in study.losses)]
-    return {"title": "Errors across losses", "note": note, "head": head, "rows": rows}
+    return table(
+        "Errors across losses", note, grid.losses, [Column("fits under", loss_label), *map(ratio, grid.losses)]
+    )
 
 
-def _costs(study: Study) -> dict[str, Any]:
+def _cost_table(grid: FitGrid) -> Table:
     """Seconds a fit."""
-    rows = []
-    for loss in study.losses:
-        cells = [Cell(loss_label(loss))]
-        for model in study.models:
-            own = [r for r in study.shown if r["loss"] == loss and r["model"] == model]
-            cells.append(Cell(f"{np.mean([r['seconds'] for r in own]):.2f}"))
-        odd = sum(r["status"] != "converged" for r in study.shown if r["loss"] == loss)
-        rows.append([*cells, Cell(str(odd))])
-    head = ["loss", *(f"{model_label(model)}, s" for model in study.models), "not converged"]
+
+    def seconds(model: str) -> Column[str]:
+        return Column(
+            f"{model_label(model)}, s",
+            lambda loss: np.mean([r.seconds for r in grid.shown if r.loss == loss and r.model == model]),
+            ".2f",
+        )
+
+    def odd(loss: str) -> int:
+        return sum(r.status != "converged" for r in grid.shown if r.loss == loss)
+
     note = "Seconds a fit, on this machine, with all materials fitted side by side."
-    return {"title": "Cost", "note": note, "head": head, "rows": rows}
+    columns = [Column("loss", loss_label), *map(seconds, grid.models), Column("not converged", odd)]
+    return table("Cost", note, grid.losses, columns)

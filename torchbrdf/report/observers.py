@@ -1,68 +1,68 @@
 """What observers' answers say: sentences, tables, and a page of its own."""
 
-import csv
-import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from torchbrdf.files import write_text
+from torchbrdf.experiment.conclusions import check_claims, confused, mean_scales
+from torchbrdf.experiment.scaling import ScaledExperiment, scale_experiments
+from torchbrdf.files import write_csv, write_json, write_text
 from torchbrdf.psychophysics import Method, ObserverReport, kendall_agreement
 from torchbrdf.recipe import versions
-from torchbrdf.report.claims import claim, confused, mean_scales
-from torchbrdf.report.inline import png, template
-from torchbrdf.report.judged import MOST_LINES, Judged, draw, judge
-from torchbrdf.report.labels import Cell
+from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.scale_figures import MOST_LINES, scales_figure
+from torchbrdf.report.tables import Column, Table, table
 from torchbrdf.study import MEASURED, Answer, Plan, simulated
 
 SIMULATED_MARK = "simulated observers: not people"
 POOR = 0.01
 
 
-def observed(judged: Judged, folder: Path, mark: str) -> dict[str, Any]:
+def observed(scaled: ScaledExperiment, folder: Path, mark: str) -> dict[str, Any]:
     """What `observers.html` shows of an experiment; the figure is drawn into a folder."""
-    path = folder / (f"scales-{judged.name}.png" if judged.name else "scales.png")
-    caption = draw(judged, path, mark)
+    path = folder / (f"scales-{scaled.name}.png" if scaled.name else "scales.png")
+    caption = scales_figure(path, scaled, mark)
     return {
-        "title": judged.title,
+        "title": scaled.title,
         "mark": mark,
-        "figure": png(path),
+        "figure": embed_png(path),
         "caption": caption,
-        "findings": findings(judged),
+        "findings": findings(scaled),
     }
 
 
-def findings(judged: Judged) -> list[str]:
+def findings(scaled: ScaledExperiment) -> list[str]:
     """What the scales say, in sentences."""
-    scales = judged.scales
+    scales = scaled.scales
     means = mean_scales(scales)
     ranked = sorted(means, key=lambda name: -means[name])
-    said = ", ".join(f"{judged.label(name)} {means[name]:+.2f}" for name in ranked[:MOST_LINES])
+    said = ", ".join(f"{scaled.label(name)} {means[name]:+.2f}" for name in ranked[:MOST_LINES])
     lines = [
-        f"{len(judged.comparisons.observers)} observers, {int(judged.comparisons.wins.sum())} answers. "
+        f"{len(scaled.comparisons.observers)} observers, {int(scaled.comparisons.wins.sum())} answers. "
         f"Mean scale values: {said}{'.' if len(ranked) <= MOST_LINES else ', ...'}"
     ]
-    if judged.plan is not None:
-        lines += claim(scales, judged.plan)
+    if scaled.plan is not None:
+        lines += check_claims(scales, scaled.plan)
     if any(MEASURED in names for names in scales.stimuli):
-        lines.append(_confusions(judged))
+        lines.append(_confusions(scaled))
     poor = [name for name, p in zip(scales.materials, scales.goodness.p.tolist(), strict=True) if p < POOR]
     if poor:
         lines.append(f"One scale does not describe the answers well (p < {POOR}) for {', '.join(poor)}.")
     lines += [
         f"{report.observer}: {'; '.join(report.flags)}. Kept in all figures."
-        for report in judged.reports
+        for report in scaled.reports
         if report.flags
     ]
     return lines
 
 
-def _confusions(judged: Judged) -> str:
-    lost = confused(judged.scales)
+def _confusions(scaled: ScaledExperiment) -> str:
+    lost = confused(scaled.scales)
     every = [name for names in lost.values() for name in names]
-    counts = ", ".join(f"{judged.label(name)} {every.count(name)}" for name in sorted(set(every)))
+    counts = ", ".join(f"{scaled.label(name)} {every.count(name)}" for name in sorted(set(every)))
     some = sum(map(bool, lost.values()))
     return (
         f"For {some} of {len(lost)} materials an approximation is confused with the measured one"
@@ -70,27 +70,29 @@ def _confusions(judged: Judged) -> str:
     )
 
 
-def tables(judged: Judged) -> list[dict[str, Any]]:
+def observer_tables(scaled: ScaledExperiment) -> list[Table]:
     """Scales, how well they describe the answers, and the observers."""
-    return [_scale_table(judged), _observer_table(judged)]
+    return [_scale_table(scaled), _observer_table(scaled)]
 
 
-def _scale_table(judged: Judged) -> dict[str, Any]:
-    scales = judged.scales
-    names = judged.stimuli
-    alike = kendall_agreement(judged.comparisons)
+def _scale_table(scaled: ScaledExperiment) -> Table:
+    scales, places = scaled.scales, scaled.scales.materials
+    alike = kendall_agreement(scaled.comparisons)
     known = {(record["material"], record["stimulus"]): record for record in scales.records()}
-    rows = []
-    for name in judged.order:
-        m = scales.materials.index(name)
-        best = max(known[name, stimulus]["scale"] for stimulus in scales.stimuli[m])
-        cells = [Cell(name)]
-        for stimulus in names:
-            record = known.get((name, stimulus))
-            text = f"{record['scale']:+.2f} ({record['low']:+.2f} to {record['high']:+.2f})" if record else ""
-            cells.append(Cell(text, record is not None and record["scale"] == best))
-        figures = (f"{scales.montag[m]:.2f}", f"{scales.goodness.p[m]:.2g}", f"{alike.u[m]:.2f}", f"{alike.p[m]:.2g}")
-        rows.append([*cells, *map(Cell, figures)])
+
+    def stimulus(name: str) -> Column[str]:
+        return Column(
+            scaled.label(name),
+            lambda material: known.get((material, name)),
+            lambda record: f"{record['scale']:+.2f} ({record['low']:+.2f} to {record['high']:+.2f})",
+            max,
+            among="stimuli",
+            key=lambda record: record["scale"],
+        )
+
+    def number(head: str, values: Any, show: str) -> Column[str]:
+        return Column(head, lambda material: float(values[places.index(material)]), show)
+
     note = (
         "Thurstone's case V, in standard deviations of a difference; the mean of a material's stimuli is 0. In "
         "brackets the 95 % interval; beside it Montag's (2006) half width, from the numbers of stimuli and "
@@ -98,19 +100,26 @@ def _scale_table(judged: Judged) -> dict[str, Any]:
         "coefficient of agreement, 1 where all observers agree, and how often chance makes it so large. Bold: the "
         "highest."
     )
-    head = ["material", *map(judged.label, names), "± Montag", "fit, p", "u", "u, p"]
-    return {"title": f"Scales, {judged.title}", "note": note, "head": head, "rows": rows}
+    columns: list[Column[str]] = [
+        Column("material", str),
+        *map(stimulus, scaled.stimuli),
+        number("± Montag", scales.montag, ".2f"),
+        number("fit, p", scales.goodness.p, ".2g"),
+        number("u", alike.u, ".2f"),
+        number("u, p", alike.p, ".2g"),
+    ]
+    return table(f"Scales, {scaled.title}", note, scaled.order, columns)
 
 
-def _observer_table(judged: Judged) -> dict[str, Any]:
-    columns = [observer_row(report) for report in judged.reports]
+def _observer_table(scaled: ScaledExperiment) -> Table:
+    rows = [observer_row(report) for report in scaled.reports]
     note = (
         "Agreement: how far the likelihood of an observer's answers, under the scales of all others, is from what it "
         "should be, in standard deviations. Consistence: Kendall's, 1 without a circular triad (A over B, B over C, C "
         "over A), mean over materials. Flagged observers are kept."
     )
-    rows = [[Cell(_text(value)) for value in row.values()] for row in columns]
-    return {"title": f"Observers, {judged.title}", "note": note, "head": list(columns[0]), "rows": rows}
+    columns = [Column[dict[str, Any]](key, itemgetter(key), _text) for key in rows[0]]
+    return table(f"Observers, {scaled.title}", note, rows, columns)
 
 
 def observer_row(report: ObserverReport) -> dict[str, Any]:
@@ -144,19 +153,19 @@ def write_scales(
     """Scale the answers of every experiment; write `scales.csv`, `scales.json`, `observers.csv`, figures and
     `scales.html` into a folder. Gives what they say, in lines.
     """
-    judged = judge(answers, plan, method, seed)
+    scaled = scale_experiments(answers, plan, method, seed)
     mark = "; ".join(filter(None, [plan.mark if plan else "", SIMULATED_MARK if simulated(answers) else ""]))
-    said = [observed(one, folder / "figures", mark) for one in judged]
-    records = [{"experiment": one.name, **record} for one in judged for record in one.scales.records()]
+    said = [observed(one, folder / "figures", mark) for one in scaled]
+    records = [{"experiment": one.name, **record} for one in scaled for record in one.scales.records()]
     record = {"source": source, "method": method, "seed": seed, "simulated": simulated(answers), "versions": versions()}
-    write_text(folder / "scales.json", json.dumps({**record, "scales": records}, indent=1) + "\n")
-    write_text(folder / "scales.csv", _csv(records))
-    rows = [{"experiment": one.name, **observer_row(report)} for one in judged for report in one.reports]
-    write_text(folder / "observers.csv", _csv(rows))
+    write_json(folder / "scales.json", {**record, "scales": records})
+    write_csv(folder / "scales.csv", records)
+    rows = [{"experiment": one.name, **observer_row(report)} for one in scaled for report in one.reports]
+    write_csv(folder / "observers.csv", rows)
     page = template("scales.html").render(
         title=f"What observers say: {source}",
         observed=said,
-        tables=[table for one in judged for table in tables(one)],
+        tables=[table for one in scaled for table in observer_tables(one)],
         made=(
             f"Method: {method}. Everything is in this folder: scales.csv, scales.json, observers.csv, figures/. "
             "Repeats and catch trials do not count for the scales."
@@ -165,11 +174,3 @@ def write_scales(
     )
     write_text(folder / "scales.html", page)
     return [line for one in said for line in (one["title"], *([mark] if mark else []), *one["findings"])]
-
-
-def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

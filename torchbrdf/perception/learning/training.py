@@ -116,7 +116,7 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
 
 
 def units(training_set: TrainingSet) -> Tensor:
-    """Scale of the terms `(T,)`: the mean of each over the distances of two materials, or over all if there are none."""
+    """Scale of the terms `(T,)`: the mean of each over distances of two materials, or over all if there are none."""
     return training_set.terms[_usual(training_set)].mean(0).clamp_min(1e-12)
 
 

@@ -1,41 +1,31 @@
-"""Materials and their fits side by side, to turn and to wipe between, in one self-contained page: view.html."""
+"""The viewer: materials and their fits side by side, to turn and to wipe between, in one self-contained page."""
 
 import base64
 import io
 import math
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from PIL import Image
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, composite
-from torchbrdf.measured import Measured, StandIn
+from torchbrdf.measured import Measured
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
-from torchbrdf.report.inline import template
-from torchbrdf.report.labels import loss_label, model_label
+from torchbrdf.report.embed import template
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
 QUALITY = 88
 
 
-@dataclass(frozen=True)
-class Item:
-    """What can be looked at: a material, or a fit, whose `reference` is the number of the item that it is a fit of."""
-
-    label: str
-    material: str
-    kind: Literal["measured", "stand-in", "fit"]
-    reference: int | None = None
-
-
-def write_view(
+def write_viewer(
     path: Path | str,
     groups: Sequence[Measured],
     lights: Mapping[str, Environment],
@@ -43,22 +33,22 @@ def write_view(
     *,
     size: int = 320,
     steps: int = 12,
-    advance: Callable[[int], None] = lambda frames: None,
+    progress: Progress = quiet,
 ) -> Path:
     """Draw what the groups hold from `steps` sides in each of the named lights, and write the page; gives its path.
 
     All pictures in one light share a tone map, measured over those of the first side. A fit's image differences are
-    those from the material of the same name; measured, if there is one, else its stand-in. `advance(1)` is called
-    after each of the `steps * len(lights)` scenes. A UsageError or DataError says what cannot be shown.
+    those from the material of the same name; measured, if there is one, else its stand-in. `progress` is told
+    of each of the `steps * len(lights)` scenes. A UsageError or DataError says what cannot be shown.
     """
     path = Path(path)
     if steps < 1:
         raise UsageError(f"steps: expected at least 1, found {steps}")
     if path.is_dir():
         raise DataError(f"{path}: expected a file to write, found a folder")
-    items = listed(groups)
+    items = list_items(groups)
     if not items or not lights:
-        raise UsageError(f"view: expected materials and lights, found {len(items)} and {len(lights)}")
+        raise UsageError(f"viewer: expected materials and lights, found {len(items)} and {len(lights)}")
     frames: list[list[list[str]]] = []
     numbers: list[list[list[list[str] | None]]] = []
     tones: list[ToneMap] = []
@@ -73,35 +63,9 @@ def write_view(
             display = tones[-1](pictures)
             numbers[-1].append(_differences(items, display, scene.mask))
             frames[-1].append([_jpeg(picture) for picture in composite(display, scene.coverage)])
-            advance(1)
+            progress(len(frames) * steps - steps + step + 1, len(lights) * steps)
     write_text(path, _page(items, list(lights), tones, frames, numbers, size))
     return path
-
-
-def listed(groups: Sequence[Measured]) -> list[Item]:
-    """The items of some groups, in their order, each with a label of its own.
-
-    A record of a fits.json that says by which strategy it was made is a fit; another is a stand-in for a material.
-    """
-    items = [_item(group, row) for group in groups for row in range(len(group))]
-    references: dict[str, int] = {}
-    for kind in ("stand-in", "measured"):  # so that a measured one takes its stand-in's place
-        references |= {item.material: k for k, item in reversed(list(enumerate(items))) if item.kind == kind}
-    labels = distinct([item.label for item in items])
-    return [
-        Item(label, item.material, item.kind, references.get(item.material) if item.kind == "fit" else None)
-        for item, label in zip(items, labels, strict=True)
-    ]
-
-
-def distinct(names: Sequence[str]) -> list[str]:
-    """The names, those that came before with a number behind."""
-    seen: Counter[str] = Counter()
-    made = []
-    for name in names:
-        seen[name] += 1
-        made.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
-    return made
 
 
 def first_pair(items: Sequence[Item]) -> tuple[int, int]:
@@ -115,19 +79,6 @@ def first_pair(items: Sequence[Item]) -> tuple[int, int]:
     return first, next(same, first)
 
 
-def _item(group: Measured, row: int) -> Item:
-    source, material = group.source, group.materials[row]
-    if not isinstance(source, StandIn):
-        return Item(f"{source.names[material]} (measured)", source.names[material], "measured")
-    record = source.records[material]
-    name = str(record["material"])
-    if "strategy" not in record:
-        return Item(f"{name} (stand-in)", name, "stand-in")
-    lobes = f"{record['lobes']} lobe{'' if record['lobes'] == 1 else 's'}"
-    how = [model_label(record["model"]), lobes, loss_label(str(record.get("loss", ""))), str(record["strategy"])]
-    return Item(f"{name}: {', '.join(part for part in how if part)}", name, "fit")
-
-
 def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[list[str] | None]:
     """CIELAB Delta E and PSNR of each fit from its material, as text; None for what is no fit of one."""
     pairs = [(k, item.reference) for k, item in enumerate(items) if item.reference is not None]
@@ -135,8 +86,8 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
     if pairs:
         fits, references = (display[list(side)] for side in zip(*pairs, strict=True))
         measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e76", "psnr")]
-        for (k, _), delta_e, psnr in zip(pairs, *measures, strict=True):
-            texts[k] = [f"{delta_e:.2f}", f"{psnr:.1f} dB" if math.isfinite(psnr) else "infinite"]
+        for (k, _), delta_e76, psnr in zip(pairs, *measures, strict=True):
+            texts[k] = [f"{delta_e76:.2f}", f"{psnr:.1f} dB" if math.isfinite(psnr) else "infinite"]
     return texts
 
 
@@ -165,10 +116,10 @@ def _page(
         "frames": frames,
         "numbers": numbers,
     }
-    return template("view.html").render(
+    return template("viewer.html").render(
         title=", ".join(materials[:3]) + (f" and {len(materials) - 3} more" if len(materials) > 3 else ""),
         items=items,
-        lights=list(zip(lights, tones, strict=True)),
+        light_samples=list(zip(lights, tones, strict=True)),
         size=size,
         steps=len(frames[0]),
         quality=QUALITY,

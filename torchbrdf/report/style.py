@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from torchbrdf.files import replacing
 
-STAND_IN = "stand-in materials, not measurements"
 COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
 # Of a mark, to an inch.
 LETTERS = 16
@@ -25,7 +24,9 @@ _STYLE: Any = {
 
 
 @contextmanager
-def drawing(path: Path, width: float, height: float, mark: str = "", layout: Any = "constrained") -> Iterator[Figure]:
+def new_figure(
+    path: Path, width: float, height: float, mark: str = "", layout: Any = "constrained"
+) -> Iterator[Figure]:
     """A figure of so many inches to draw on; saved when the block ends, with `mark` written on it."""
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout=layout)
@@ -35,8 +36,3 @@ def drawing(path: Path, width: float, height: float, mark: str = "", layout: Any
             figure.suptitle(lines, fontsize=8, color="#9c3d00", x=0.99, ha="right")
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=110, format="png")
-
-
-def marked(stand_in: bool, *others: str) -> str:
-    """What has to be written on a figure."""
-    return "; ".join([*([STAND_IN] if stand_in else []), *(other for other in others if other)])

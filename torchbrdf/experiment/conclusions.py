@@ -1,4 +1,4 @@
-"""What the paper claims of its observers, tested on answers, and said as it comes out."""
+"""Conclusions from scales: the paper's claims about its observers, tested on answers, and who is confused with whom."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from scipy.stats import spearmanr
 
+from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.psychophysics import Scales
-from torchbrdf.report.labels import loss_label, model_label
 from torchbrdf.study import MEASURED, Plan
 
-CLAIMED = "cuberoot"
-OVER = ("rms", "cosine")
+CLAIMED_LOSS = "cuberoot"
+OTHER_LOSSES = ("rms", "cosine")
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ def benefits(scales: Scales, plan: Plan, loss: str, other: str) -> list[Benefit]
     return sorted(found, key=lambda one: plan.material(one.material).order)
 
 
-def claim(scales: Scales, plan: Plan) -> list[str]:
+def check_claims(scales: Scales, plan: Plan) -> list[str]:
     """The paper's claim, that the cube root looks at least as close as the other metrics and more so for sharp lobes,
     in sentences; none where the answers are not about it.
     """
     lines = []
-    for other in OVER:
-        found = benefits(scales, plan, CLAIMED, other)
+    for other in OTHER_LOSSES:
+        found = benefits(scales, plan, CLAIMED_LOSS, other)
         if found:
             lines.append(_overall(found, other))
             lines.append(_by_gloss(found, plan, other))
@@ -61,8 +61,8 @@ def _overall(found: Sequence[Benefit], other: str) -> str:
     holds = "holds everywhere" if not worse else f"does not hold for {worse} of them"
     exceptions = ", ".join(f"{one.material} {model_label(one.model)}" for one in found if one.high < 0)
     return (
-        f"Is the {loss_label(CLAIMED)} at least as good as {loss_label(other)}? Of {len(found)} materials and models "
-        f"it is better for {better}, worse for {worse}, and no different for {len(found) - better - worse}; on "
+        f"Is the {loss_label(CLAIMED_LOSS)} at least as good as {loss_label(other)}? Of {len(found)} materials and "
+        f"models it is better for {better}, worse for {worse}, and no different for {len(found) - better - worse}; on "
         f"average {mean:+.2f} on the scale. The paper's claim {holds}{f' ({exceptions})' if exceptions else ''}."
     )
 

@@ -1,9 +1,7 @@
-"""Words and cells that the report's parts share."""
+"""Names of models, losses and differences for people, and what has to be said of results."""
 
-from dataclasses import dataclass
-
+STAND_IN = "stand-in materials, not measurements"
 LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
-
 DIFFERENCE_LABELS = {
     "psnr": "PSNR",
     "ssim": "SSIM",
@@ -16,17 +14,8 @@ DIFFERENCE_LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A cell of a table."""
-
-    text: str
-    best: bool = False
-    outlier: bool = False
-
-
 def loss_label(name: str) -> str:
-    """A metric's name for people."""
+    """A loss's name for people."""
     if name.startswith("rendered_"):
         return f"rendered {difference_label(name.removeprefix('rendered_'))}"
     return LOSS_LABELS.get(name, name.replace("_", " "))
@@ -40,3 +29,8 @@ def difference_label(name: str) -> str:
 def model_label(name: str) -> str:
     """A model's name for people."""
     return "-".join(word.capitalize() for word in name.split("_"))
+
+
+def caveat(stand_in: bool, *others: str) -> str:
+    """What has to be written on a figure: that it shows stand-ins, and whatever else there is."""
+    return "; ".join([*([STAND_IN] if stand_in else []), *(other for other in others if other)])

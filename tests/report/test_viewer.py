@@ -16,11 +16,12 @@ import torch
 from PIL import Image
 
 from torchbrdf.cli import main
+from torchbrdf.experiment.items import Item
 from torchbrdf.images import DIFFERENCES, ToneMap, write_exr
-from torchbrdf.lobes import CookTorrance, Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.lobes import CookTorrance, FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
 from torchbrdf.render import Camera, Environment, Scene, find_mesh, render
-from torchbrdf.report.view import Item, distinct, first_pair, listed
+from torchbrdf.report.viewer import first_pair
 
 SIZE, STEPS = 24, 2
 WICKED = "<script>document.title = 'taken'</script>"
@@ -29,7 +30,7 @@ DULL = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4))
 
 
 def record(material, model, name, **more):
-    return {"material": material, "model": name, "lobes": 1, "parameters": parameters(model), **more}
+    return FitRecord(material, name, 1, parameters(model), **more)
 
 
 @pytest.fixture(scope="module")
@@ -126,20 +127,6 @@ def test_numbers_are_those_of_the_pictures(page, folder):
     assert numbers[1][1][2] == [f"{measures[0]:.2f}", f"{measures[1]:.1f} dB"] and measures[0] > 0.5
 
 
-def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
-    records = [record("made-up", DULL, "ward"), record("made-up", DULL, "ward", loss="log", strategy="global")]
-    write_fits(tmp_path / "fits.json", [*records, records[1]])
-    items = listed(load_all([tmp_path / "fits.json", merl_file]))
-    assert [item.label for item in items] == [
-        "made-up (stand-in)",
-        "made-up: Ward, 1 lobe, log, global",
-        "made-up: Ward, 1 lobe, log, global #2",
-        "made-up (measured)",
-    ]
-    assert [item.reference for item in items] == [None, 3, 3, None]
-    assert first_pair(items) == (3, 1)
-
-
 def test_what_is_shown_first():
     a, b = Item("a", "a", "measured"), Item("b", "b", "measured")
     one, other = Item("b: one", "b", "fit"), Item("b: other", "b", "fit")
@@ -147,7 +134,6 @@ def test_what_is_shown_first():
     assert first_pair([one]) == (0, 0)
     assert first_pair([one, other]) == (0, 1)
     assert first_pair([a, Item("b: one", "b", "fit", 2), b]) == (2, 1)
-    assert distinct(["x", "y", "x", "x"]) == ["x", "y", "x #2", "x #3"]
 
 
 def test_one_bad_file_leaves_the_others(folder, tmp_path, capsys, monkeypatch):

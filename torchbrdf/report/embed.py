@@ -1,4 +1,4 @@
-"""Pages that hold all their pictures."""
+"""Templates of pages, and pictures as text inside them."""
 
 import base64
 import io
@@ -9,19 +9,19 @@ from PIL import Image
 
 
 def template(name: str) -> Template:
-    """A page of this folder, to be filled."""
+    """The Jinja template of a page, from this folder."""
     loader = PackageLoader("torchbrdf.report", ".")
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     return pages.get_template(name)
 
 
-def png(path: Path) -> str:
-    """A PNG as it is."""
+def embed_png(path: Path) -> str:
+    """A PNG file as a data URI."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
 
 
-def small(path: Path) -> str:
-    """A render as WebP: all of a study's pictures in one page of a few megabytes."""
+def embed_webp(path: Path) -> str:
+    """A picture as a data URI of WebP, so that a page with hundreds of them has a few megabytes."""
     data = io.BytesIO()
     with Image.open(path) as image:
         image.save(data, format="WEBP", quality=90)

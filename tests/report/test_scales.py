@@ -1,0 +1,38 @@
+"""Scales as files, figures and a page."""
+
+import csv
+import json
+
+import pytest
+from helpers.simulated_plan import make_plan, wards
+
+from torchbrdf.report.observers import SIMULATED_MARK, write_scales
+from torchbrdf.report.style import new_figure
+from torchbrdf.study import MEASURED, simulate
+
+
+def test_figures_say_what_they_are_made_of(tmp_path):
+    with new_figure(tmp_path / "x.png", 3, 2, "simulated observers: not people " * 3) as figure:
+        figure.subplots()
+    assert figure._suptitle.get_text().replace("\n", " ").strip() == ("simulated observers: not people " * 3).strip()
+    assert "\n" in figure._suptitle.get_text()  # it fits the width
+
+
+def test_a_folder_of_scales_holds_all_of_them(tmp_path):
+    plan = make_plan({f"m{k}": wards(6.0, 5.0, 2.0) | {MEASURED: 0.0} for k in range(3)})
+    answers = simulate(plan, plan.experiment("1"), 8)
+    said = write_scales(tmp_path, answers, plan, method="likelihood", seed=0, source="answers.csv")
+    assert SIMULATED_MARK in said and any("cube root" in line for line in said)
+    page = (tmp_path / "scales.html").read_text()
+    assert SIMULATED_MARK in page and "http" not in page and page.count("data:image/png") == 1
+    rows = list(csv.DictReader((tmp_path / "scales.csv").open()))
+    assert len(rows) == 12 and {row["material"] for row in rows} == {"m0", "m1", "m2"}
+    record = json.loads((tmp_path / "scales.json").read_text())
+    assert record["simulated"] and record["seed"] == 0 and "torch" in record["versions"]
+    for row, same in zip(rows, record["scales"], strict=True):
+        assert float(row["scale"]) == pytest.approx(same["scale"]) and same["low"] < same["scale"] < same["high"]
+    for name in ("m0", "m1", "m2"):
+        own = {row["stimulus"]: float(row["scale"]) for row in rows if row["material"] == name}
+        assert sum(own.values()) == pytest.approx(0, abs=1e-9)
+        assert max(own, key=own.__getitem__) == MEASURED
+    assert len(list(csv.DictReader((tmp_path / "observers.csv").open()))) == 8

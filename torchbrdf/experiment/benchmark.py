@@ -1,0 +1,115 @@
+"""A benchmark of losses against human answers: their distances, kept in the folder of a run, and what failed."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchbrdf.errors import TorchbrdfError
+from torchbrdf.files import replacing, write_csv, write_json
+from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.pairs import Pairs
+from torchbrdf.perception import (
+    BenchmarkData,
+    Distances,
+    EvaluatedBrdfs,
+    Table,
+    evaluate_brdfs,
+    read_lagunas,
+    score_opinions,
+    score_triplets,
+)
+from torchbrdf.recipe import RunFolder
+from torchbrdf.render import RenderedLoss, Scene
+
+# Distances between the measured tables by Lagunas et al. (2019), beside their answers.
+LAGUNAS = "lagunas2019_merl_distances.mat"
+
+
+@dataclass
+class Benchmark:
+    """Distances of losses for everything that people were asked, in `distances/NAME.npz`; stored ones are read.
+
+    Args:
+        folder: Of the run.
+        subjects: What people were asked.
+        distances: By the name of a loss.
+        left_out: Names of losses that failed, with why.
+    """
+
+    folder: RunFolder
+    subjects: BenchmarkData
+    distances: dict[str, Distances] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+    def score_values(self, names: Iterable[str], pairs: Pairs) -> None:
+        """Distances of registered losses between values at some pairs."""
+        losses: dict[str, Loss] = {}
+        for name in names:
+            kind = LOSSES[name]
+            try:
+                losses[name] = kind(reduction="none")
+            except TorchbrdfError as error:
+                self._leave_out(name, error)
+        self._score(losses, lambda: evaluate_brdfs(self.subjects, pairs))
+
+    def score_pictures(self, differences: Iterable[str], scene: Scene) -> None:
+        """Distances of image differences between pictures of a scene."""
+        for name in differences:
+            loss = RenderedLoss(scene, name, reduction="none")
+            see = partial(evaluate_brdfs, self.subjects, scene.pairs.to(dtype=torch.float32), loss)
+            self._score({loss.registered_name: loss}, see)
+
+    def add_published(self, path: Path) -> None:
+        """Distances that others computed on measured tables, where there is such a file."""
+        if path.is_file():
+            found = read_lagunas(path, len(self.subjects.triplets.materials))
+            self.distances |= {f"lagunas_{name}": Distances(matrix, None) for name, matrix in found.items()}
+
+    def write(self, table: Table) -> None:
+        """`scores.json` and `scores.csv`."""
+        records = table.records()
+        write_json(self.folder.path / "scores.json", records)
+        write_csv(self.folder.path / "scores.csv", records)
+
+    def _score(self, losses: Mapping[str, Loss], see: Callable[[], EvaluatedBrdfs]) -> None:
+        """Distances of some losses, read where they are stored, else worked out and stored."""
+        rows = len(self.subjects.opinions)
+        stored = {name: self.folder.path / "distances" / f"{name}.npz" for name in losses}
+        known = {name: found for name, path in stored.items() if (found := _read(path, rows))}
+        if len(known) == len(losses):
+            self.distances |= known
+            return
+        seen = see()
+        progress = self.folder.progress("losses")
+        for done, (name, loss) in enumerate(losses.items(), 1):
+            found = known.get(name)
+            if found is None:
+                try:
+                    triplets = score_triplets(loss, seen, self.subjects.triplets)
+                    found = Distances(triplets, score_opinions(loss, seen))
+                except TorchbrdfError as error:
+                    self._leave_out(name, error)
+                    continue
+                finally:
+                    progress(done, len(losses))
+                with replacing(stored[name]) as path, path.open("wb") as file:
+                    np.savez_compressed(file, **{key: part.numpy() for key, part in vars(found).items()})
+                self.folder.log(f"{name} is scored")
+            self.distances[name] = found
+
+    def _leave_out(self, name: str, error: TorchbrdfError) -> None:
+        self.left_out.append(f"{name}: {error}")
+        self.folder.warn(f"{name} is left out: {error}")
+
+
+def _read(path: Path, rows: int) -> Distances | None:
+    """Stored distances; None where there are none, or of another number of opinions: files come and go."""
+    if not path.is_file():
+        return None
+    with np.load(path) as parts:
+        found = Distances(torch.from_numpy(parts["triplets"]), torch.from_numpy(parts["opinions"]))
+    return found if found.opinions is not None and len(found.opinions) == rows else None

@@ -1,0 +1,207 @@
+"""A grid of fits: every model fitted to every material under every loss, and scored under all of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
+from torchbrdf.lobes import LOBES, FitRecord, make_model, read_fits, write_fits
+from torchbrdf.losses import Loss
+from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image
+from torchbrdf.progress import Progress, part_of
+from torchbrdf.recipe import RunFolder
+
+REFERENCE = "reference"
+
+
+@dataclass
+class FitGrid:
+    """Fits of materials x models x losses, in the folder of a run. What `fits.json` holds is not fitted again.
+
+    Args:
+        folder: Where `fits.json` and `fits.csv` are.
+        groups: The materials.
+        models: Registered names of lobes.
+        losses: By the names that records and pictures have.
+        lobes: Numbers of specular lobes; the fits with the first of them are those that are drawn.
+        strategy: How they are fitted.
+        compare_strategy: Another strategy, whose fits with the first number of lobes are compared with these.
+        diffuse: As in `torchbrdf.fit`, as the next three.
+        max_theta: In degrees.
+        samples: Pairs that the solver sees.
+        seed: Of the subset.
+        records: One a fit.
+
+    Raises:
+        UsageError: An unknown name, the same strategy twice, or two materials of one name.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from torchbrdf.losses import LOSSES
+        >>> from torchbrdf.measured import load, standins
+        >>> losses = {name: LOSSES[name]() for name in ("rms", "log")}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     run, materials = RunFolder(Path(folder)), [load(standins()).batch([7])]
+        ...     grid = FitGrid(run, materials, ["ward"], losses, lobes=(1,), max_theta=20.0, samples=200)
+        ...     grid.fit()
+        >>> [(record.loss, len(record.errors)) for record in grid.shown]
+        [('rms', 2), ('log', 2)]
+    """
+
+    folder: RunFolder
+    groups: list[Measured]
+    models: Sequence[str]
+    losses: Mapping[str, Loss]
+    lobes: Sequence[int] = (2,)
+    strategy: str = "global"
+    compare_strategy: str | None = None
+    diffuse: str = "45:0"
+    max_theta: float = 80.0
+    samples: int | None = 20_000
+    seed: int = 0
+    records: list[FitRecord] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for name in self.models:
+            LOBES[name]
+        for name in self.strategies:
+            STRATEGIES[name]
+        if self.compare_strategy == self.strategy:
+            raise UsageError(f"compare_strategy: expected another strategy than {self.strategy}, or none")
+        names = self.materials
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise UsageError(f"materials: {twice[0]!r} comes twice; give each file a name of its own")
+
+    @property
+    def materials(self) -> list[str]:
+        """The names of all materials."""
+        return [name for group in self.groups for name in group.names]
+
+    @property
+    def strategies(self) -> list[str]:
+        """The strategy, and the one that it is compared with."""
+        return [self.strategy, *([self.compare_strategy] if self.compare_strategy else [])]
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether any material is no measurement."""
+        return any(group.stand_in for group in self.groups)
+
+    @cached_property
+    def gloss(self) -> dict[str, tuple[float, float]]:
+        """Distinctness of image, in degrees, and contrast gloss of each material, sharpest highlight first."""
+        found = {
+            name: (doi, contrast)
+            for group in self.groups
+            for name, doi, contrast in zip(
+                group.names, distinctness_of_image(group).tolist(), contrast_gloss(group).tolist(), strict=True
+            )
+        }
+        return dict(sorted(found.items(), key=lambda item: item[1][0]))
+
+    @property
+    def shown(self) -> list[FitRecord]:
+        """The records of the first number of lobes by the strategy."""
+        return self.by_strategy(self.strategy)
+
+    @property
+    def drawn(self) -> list[FitRecord]:
+        """The records that have pictures: those of the first number of lobes by both strategies."""
+        return [record for strategy in self.strategies for record in self.by_strategy(strategy)]
+
+    def by_strategy(self, strategy: str) -> list[FitRecord]:
+        """The records of the first number of lobes by a strategy, in the order of materials, models, losses."""
+        return [
+            self.record(material, model, loss, strategy=strategy)
+            for material in self.materials
+            for model in self.models
+            for loss in self.losses
+        ]
+
+    def record(
+        self, material: str, model: str, loss: str, lobes: int | None = None, strategy: str | None = None
+    ) -> FitRecord:
+        """The record of one fit.
+
+        Raises:
+            DataError: There is none: `fit` was not called, or the grid is about something else.
+        """
+        wanted = (material, model, loss, lobes or self.lobes[0], strategy or self.strategy)
+        for record in self.records:
+            if _key(record) == wanted:
+                return record
+        raise DataError(f"{self.folder.path}: expected a fit {', '.join(map(str, wanted))}, found none")
+
+    def picture(self, record: FitRecord) -> str:
+        """The name of the picture of a fit, without suffix."""
+        other = [record.strategy] if record.strategy != self.strategy else []
+        return picture_name(record.material, record.model, record.loss, *other)
+
+    def fit(self) -> None:
+        """Fit everything that `fits.json` does not hold yet, and score it under every loss."""
+        path = self.folder.path / "fits.json"
+        self.records = read_fits(path) if path.exists() else []
+        kinds = [(self.strategy, lobes) for lobes in self.lobes]
+        kinds += [(self.compare_strategy, self.lobes[0])] if self.compare_strategy else []
+        total = len(self.materials) * len(self.models) * len(self.losses) * len(kinds)
+        progress = self.folder.progress("fits")
+        progress(len(self.records), total)
+        for strategy, lobes in kinds:
+            for model in self.models:
+                for group in self.groups:
+                    if not self._has(strategy, model, lobes, group):
+                        self.records += self._fit(strategy, model, lobes, group, progress, total)
+                        self.save()
+
+    def save(self) -> None:
+        """Write `fits.json` and `fits.csv`."""
+        write_fits(self.folder.path / "fits.json", self.records)
+        write_fits_csv(self.folder.path / "fits.csv", self.records)
+
+    def _has(self, strategy: str, model: str, lobes: int, group: Measured) -> bool:
+        there = {_key(record) for record in self.records}
+        return all((name, model, loss, lobes, strategy) in there for name in group.names for loss in self.losses)
+
+    def _fit(
+        self, strategy: str, model: str, lobes: int, group: Measured, progress: Progress, total: int
+    ) -> list[FitRecord]:
+        """Fits of one model to some materials under every loss, with their errors under all of them."""
+        losses = list(self.losses.values())
+        results = [
+            fit(
+                make_model(model, lobes),
+                group,
+                loss,
+                strategy=strategy,
+                diffuse=self.diffuse,
+                max_theta=self.max_theta,
+                samples=self.samples,
+                seed=self.seed,
+                progress=part_of(progress, len(self.records) + k * len(group), total),
+            )
+            for k, loss in enumerate(losses)
+        ]
+        cross = cross_score([result.model for result in results], group.within(self.max_theta), losses)
+        outliers = local_minima(cross)
+        records = []
+        for b, result in enumerate(results):
+            for m, record in enumerate(result.records()):
+                record.errors = {name: cross[a, b, m].item() for a, name in enumerate(self.losses)}
+                record.outlier = bool(outliers[b, m])
+                records.append(record)
+            self.folder.log(
+                f"{strategy}: {model}, {lobes} lobes, {result.loss}: {len(result.names)} fits, {result.seconds:.1f} s"
+            )
+        return records
+
+
+def picture_name(material: str, *parts: str) -> str:
+    """The name of a picture, without suffix: of a fit by model and loss, of the material itself without."""
+    return "-".join([material, *(parts or (REFERENCE,))])
+
+
+def _key(record: FitRecord) -> tuple[str, str, str, int, str]:
+    return record.material, record.model, record.loss, record.lobes, record.strategy

@@ -1,0 +1,279 @@
+"""What a metric is trained on and judged by: published answers, or those of one's own study; kept in a run's folder."""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError
+from torchbrdf.experiment.settings import STANDINS
+from torchbrdf.files import replacing
+from torchbrdf.lobes import FitRecord, model_of, read_fits
+from torchbrdf.losses import Loss
+from torchbrdf.losses.learned import form
+from torchbrdf.measured import load_all, standins
+from torchbrdf.pairs import Pairs
+from torchbrdf.perception import BenchmarkData, EvaluatedBrdfs, evaluate_brdfs
+from torchbrdf.perception.datasets.synthetic import SYNTHETIC
+from torchbrdf.perception.learning.training import (
+    HeldOut,
+    History,
+    Split,
+    baseline_distances,
+    best_iteration,
+    finished,
+    held_out,
+    splits,
+    train,
+)
+from torchbrdf.perception.learning.training_set import (
+    TrainingSet,
+    make_training_set,
+    merge_training_sets,
+    training_set_from_choices,
+)
+from torchbrdf.progress import Progress
+from torchbrdf.recipe import RunFolder
+from torchbrdf.study import MEASURED, Answer, read_answers, simulated
+
+PUBLISHED = (
+    "triplets of Lagunas et al. 2019, doi:10.1145/3306346.3323036; opinions of Lavoue et al. 2021, "
+    "doi:10.1111/cgf.142636"
+)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What a metric is trained on.
+
+    Args:
+        lesson: Terms of distances, and what people were asked of them.
+        baselines: The same distances under registered losses, by name.
+        facts: Where it comes from, a record a source.
+    """
+
+    lesson: TrainingSet
+    baselines: dict[str, Tensor]
+    facts: list[dict[str, Any]]
+
+    @property
+    def mark(self) -> str:
+        """What figures have to say: where answers are not people's."""
+        return "; ".join(fact["mark"] for fact in self.facts if fact["mark"])
+
+
+def published_data(
+    subjects: BenchmarkData, pairs: Pairs, losses: Mapping[str, Loss], leave_out: Collection[str], *, made_up: bool
+) -> TrainingData:
+    """Published triplets and opinions, without the opinions of some methods.
+
+    Args:
+        subjects: Materials, approximations and answers.
+        pairs: Where BRDFs are compared.
+        losses: The baselines.
+        leave_out: Methods.
+        made_up: Whether the answers are no people's.
+    """
+    seen = evaluate_brdfs(subjects, pairs)
+    lesson = make_training_set(subjects, seen, leave_out)
+    fact = {
+        "answers": SYNTHETIC if made_up else PUBLISHED,
+        "tables": "stand-ins for measured tables" if subjects.stand_in else "measured",
+        "questions": len(subjects.triplets),
+        "votes": int(subjects.triplets.votes.sum()),
+        "opinions": sum(method in lesson.methods for method in subjects.opinions.methods),
+        "methods": lesson.methods,
+        "mark": SYNTHETIC if made_up else "",
+    }
+    return TrainingData(lesson, baseline_distances(lesson, seen, losses), [fact])
+
+
+def study_data(run: Path, answers: Path, pairs: Pairs, losses: Mapping[str, Loss]) -> TrainingData:
+    """What observers chose about the fits of a run.
+
+    Args:
+        run: Its folder, with `fits.json` and `recipe.json`.
+        answers: A CSV file of answers.
+        pairs: Where BRDFs are compared.
+        losses: The baselines.
+
+    Raises:
+        DataError: A file cannot be read, or the answers are about something else.
+    """
+    given = [answer for answer in read_answers(answers) if answer.kind == "trial"]
+    names = sorted({answer.material for answer in given})
+    stimuli = sorted({(answer.material, side) for answer in given for side in (answer.left, answer.right)})
+    materials, stand_in = _materials_of(run, names, pairs, answers)
+    target = torch.tensor([names.index(material) for material, _ in stimuli])
+    values = _stimulus_values(run, stimuli, materials[target], pairs, answers)
+    seen = EvaluatedBrdfs(materials, values, target, pairs)
+    asked, votes = _votes(given, stimuli)
+    lesson = training_set_from_choices(names, [name for _, name in stimuli], seen, asked, votes)
+    fact = {
+        "answers": f"{len(given)} choices of {len({answer.observer for answer in given})} observers of a study",
+        "tables": "stand-ins" if stand_in else "as given",
+        "methods": lesson.methods,
+        "mark": "simulated observers: not people" if simulated(given) else "",
+    }
+    return TrainingData(lesson, baseline_distances(lesson, seen, losses), [fact])
+
+
+def join_data(parts: Sequence[TrainingData]) -> TrainingData:
+    """Training data of several sources as one."""
+    names = parts[0].baselines
+    return TrainingData(
+        merge_training_sets([part.lesson for part in parts]),
+        {name: torch.cat([part.baselines[name] for part in parts]) for name in names},
+        [fact for part in parts for fact in part.facts],
+    )
+
+
+@dataclass(frozen=True)
+class TrainedMetric:
+    """A metric trained on everything, judged by trainings on halves.
+
+    Args:
+        metric: What `metric.json` holds.
+        materials: Results with materials held out, as `perception.learning.training.held_out` gives them.
+        methods: Results with a method held out as well.
+        curves: Mismatch by iteration of what was learned from and of the rest, `(trainings, iterations, 2)`.
+        best: The iteration that is taken.
+    """
+
+    metric: dict[str, Any]
+    materials: HeldOut
+    methods: HeldOut
+    curves: Tensor
+    best: int
+
+
+def train_metric(
+    data: TrainingData, folder: RunFolder, *, repeats: int, iterations: int, replicates: int, samples: int, seed: int
+) -> TrainedMetric:
+    """Train on halves of the materials, choose where to stop, and train on all of them.
+
+    Args:
+        data: What it learns from.
+        folder: Of the run; trainings are kept in `trainings/`, and read where they are there.
+        repeats: Of the two-fold cross-validation over materials.
+        iterations: Of L-BFGS, from which early stopping chooses.
+        replicates: Of the bootstrap.
+        samples: Pairs, for the record.
+        seed: Of the halves and of the bootstrap.
+
+    Raises:
+        DataError: Too few materials, or what is kept of a training cannot be read.
+    """
+    lesson = data.lesson
+    folder.log(f"{len(lesson.terms)} distances of {lesson.terms.shape[1]} terms, {len(lesson.names)} materials")
+    if len(lesson.names) < 4:
+        raise DataError(f"train_metric: expected answers about 4 materials at least, found {len(lesson.names)}")
+    halves = list(splits(lesson, repeats, seed))
+    progress, total = folder.progress("trainings"), len(halves) + 1
+    courses = [_trained(folder, lesson, split, iterations, progress, k, total) for k, split in enumerate(halves, 1)]
+    plain = [k for k, split in enumerate(halves) if split.without < 0]
+    best = best_iteration([courses[k] for k in plain])
+    folder.log(f"held-out answers are likeliest after iteration {best + 1}")
+    everything = Split("all", torch.ones(len(lesson.names), dtype=torch.bool))
+    weights = _trained(folder, lesson, everything, iterations, progress, total, total).weights[best]
+    judged = [(split, course.weights[best]) for split, course in zip(halves, courses, strict=True)]
+    materials = held_out(lesson, [judged[k] for k in plain], data.baselines, seed, replicates)
+    strange = [one for one in judged if one[0].without >= 0]
+    methods = held_out(lesson, strange, data.baselines, seed, replicates) if strange else {}
+    distances = lesson.distances(weights)
+    provenance = {
+        "learned_from": data.facts,
+        "materials": len(lesson.names),
+        "pairs": samples,
+        "seed": seed,
+        "iterations": best + 1,
+        "date": time.strftime("%Y-%m-%d"),
+        "held_out": {name: [round(x, 4) for x in rows["learned"]["share"]] for name, rows in materials.items()},
+        "seen": {
+            name: round(float(part.agreement_rate(part.concordant(distances[None]))), 4)
+            for name, part in lesson.statistics.items()
+        },
+    }
+    return TrainedMetric(
+        form() | {"weights": finished(lesson, weights), "provenance": provenance},
+        materials,
+        {name: own for name, own in methods.items() if name != "majority"},
+        torch.stack([courses[k].curve for k in plain]),
+        best,
+    )
+
+
+def _materials_of(run: Path, names: Sequence[str], pairs: Pairs, answers: Path) -> tuple[Tensor, bool]:
+    """Values of the materials that a run was about, `(K, N, 3)`, and whether any is a stand-in."""
+    path = run / "recipe.json"
+    try:
+        folder = json.loads(path.read_text(encoding="utf-8"))["settings"]["materials"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DataError(f"{path}: expected the settings of a run, with its materials") from None
+    tables = load_all(standins() if folder == STANDINS else folder)
+    where = {name: (group, k) for group in tables for k, name in enumerate(group.names)}
+    for name in names:
+        if name not in where:
+            raise DataError(f"{answers}: expected materials of {folder}, found {name!r}")
+    values = torch.cat([where[name][0].batch([where[name][1]]).at(pairs) for name in names]).to(pairs.dtype)
+    return values, any(group.stand_in for group in tables)
+
+
+def _stimulus_values(
+    run: Path, stimuli: Sequence[tuple[str, str]], measured: Tensor, pairs: Pairs, answers: Path
+) -> Tensor:
+    """Values of what observers saw, by material and name of the stimulus, `(R, N, 3)`."""
+    records: dict[tuple[str, str], FitRecord] = {}
+    for record in read_fits(run / "fits.json"):
+        name = f"{record.model}-{record.loss}"
+        for stimulus in (name, f"{name}-{record.strategy}"):
+            records.setdefault((record.material, stimulus), record)
+    values = []
+    for key, own in zip(stimuli, measured, strict=True):
+        if key[1] == MEASURED:
+            values.append(own[None])
+        elif key in records:
+            with torch.no_grad():
+                values.append(model_of([records[key]]).to(pairs.dtype)(pairs).to(pairs.dtype))
+        else:
+            raise DataError(f"{answers}: {key[0]}: expected a fit of {run / 'fits.json'}, found {key[1]!r}")
+    return torch.cat(values)
+
+
+def _votes(given: Sequence[Answer], stimuli: Sequence[tuple[str, str]]) -> tuple[Tensor, Tensor]:
+    """Which two stimuli were compared, by their places, and how often either was chosen, `(C, 2)` each."""
+    place = {key: k for k, key in enumerate(stimuli)}
+    count: Counter[tuple[int, int]] = Counter(
+        (place[answer.material, answer.chosen], place[answer.material, answer.rejected]) for answer in given
+    )
+    asked = sorted({(min(key), max(key)) for key in count})
+    return torch.tensor(asked), torch.tensor([[count[a, b], count[b, a]] for a, b in asked])
+
+
+def _trained(
+    folder: RunFolder, lesson: TrainingSet, split: Split, iterations: int, progress: Progress, done: int, total: int
+) -> History:
+    """One training, read where an earlier run has finished it."""
+    path = folder.path / "trainings" / f"{split.name}.npz"
+    if path.is_file():
+        try:
+            with np.load(path) as parts:
+                course = History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+            raise DataError(f"{path}: expected a finished training; remove it to train again") from None
+    else:
+        course = train(lesson, split, iterations)
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, curve=course.curve.numpy(), weights=course.weights.numpy())
+        seen, unseen = course.curve[-1].tolist()
+        folder.log(f"{split.name}: mismatch {seen:.4f} of what was learned from, {unseen:.4f} of the rest")
+    progress(done, total)
+    return course

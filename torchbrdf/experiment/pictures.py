@@ -1,0 +1,151 @@
+"""The pictures of a grid of fits in one or several scenes, and how far each is from its reference."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import matplotlib
+import torch
+from torch import Tensor
+
+from torchbrdf.experiment.grid import FitGrid, picture_name
+from torchbrdf.files import write_json
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
+from torchbrdf.images.differences.delta_e76 import lab
+from torchbrdf.lobes import FitRecord, model_of
+from torchbrdf.parallel import thread_map
+from torchbrdf.progress import part_of
+from torchbrdf.render import Scene, render
+from torchbrdf.render.draw import Brdf
+
+# Image differences that reports speak of, by their registered names, and the one that they sort by.
+SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
+DIFFERENCE = "delta_e76"
+# A colour difference that maps show as the brightest colour.
+BRIGHTEST = 20.0
+COLOR_MAP = matplotlib.colormaps["magma"]
+# The name of a scene that is the only one: its pictures lie in `renders/` itself.
+ONLY = ""
+
+
+class Pictures:
+    """Every material and every fit of a grid in every scene, in `renders/SCENE/`, with one tone map a scene.
+
+    Linear pictures are kept as EXR, and what is there is not drawn again. A tone map is measured over a composite of
+    pictures, kept in `tonemap.json`, and used for every PNG of its scene.
+
+    Args:
+        grid: The fits.
+        scenes: By name; `ONLY`, if there is just one.
+        differences: Registered names of image differences, each taken between a fit and its reference.
+        maps: Also write `map-*.png`, the colour difference of each pixel.
+    """
+
+    def __init__(
+        self, grid: FitGrid, scenes: Mapping[str, Scene], differences: Sequence[str], *, maps: bool = False
+    ) -> None:
+        self.grid, self.scenes, self.differences, self.maps = grid, scenes, differences, maps
+        self.tones: dict[str, ToneMap] = {}
+
+    def path(self, name: str, scene: str = ONLY, suffix: str = ".png") -> Path:
+        """Where a picture is."""
+        return self.grid.folder.path / "renders" / scene / f"{name}{suffix}"
+
+    def seen(self, scene: str) -> list[FitRecord]:
+        """The records that reports show, with the image differences in one scene as their `differences`."""
+        if scene == ONLY:
+            return self.grid.shown
+        return [replace(record, differences=record.pictures[scene]) for record in self.grid.shown]
+
+    def draw_materials(self) -> None:
+        """Draw the materials in every scene."""
+        for name, scene in self.scenes.items():
+            self._draw(name, scene, self._references())
+
+    def draw_fits(self) -> None:
+        """Draw the fits in every scene."""
+        for name, scene in self.scenes.items():
+            jobs = []
+            for strategy in self.grid.strategies:
+                for model in self.grid.models:
+                    chosen = [record for record in self.grid.by_strategy(strategy) if record.model == model]
+                    jobs.append((model_of(chosen), [self.grid.picture(record) for record in chosen]))
+            self._draw(name, scene, jobs)
+
+    def measure_tones(self, *, fits: bool) -> None:
+        """Measure the tone map of every scene over its materials, or over the fits as well, and show the materials."""
+        for name, scene in self.scenes.items():
+            names = [picture_name(material) for material in self.grid.materials]
+            fitted = [self.grid.picture(record) for record in self.grid.drawn] if fits else []
+            linears = self._read(name, names + fitted)
+            self.tones[name] = ToneMap.from_images(linears, scene.mask.expand(linears.shape[:-1]))
+            for one, linear in zip(names, linears, strict=False):
+                write_png(self.path(one, name), composite(self.tones[name](linear), scene.coverage))
+        record = {name: tone.to_dict() for name, tone in self.tones.items()}
+        write_json(self.grid.folder.path / "tonemap.json", record.get(ONLY, record))
+
+    def draw_turned(self, scene: Scene, part: str, like: str = ONLY) -> None:
+        """Draw the materials in another view, named with `part` behind, under the tone map of the scene `like`."""
+        jobs = self._references(part)
+        self._draw(like, scene, jobs)
+        for name in (name for _, names in jobs for name in names):
+            write_png(self.path(name, like), composite(self.tones[like](self._read(like, [name])[0]), scene.coverage))
+
+    def compare(self) -> None:
+        """Show the fits, and put their image differences into the records: `pictures[scene]`, or `differences`."""
+        drawn = self.grid.drawn
+        total, progress = len(self.scenes) * len(drawn), self.grid.folder.progress("comparisons")
+        for k, (name, scene) in enumerate(self.scenes.items()):
+            materials = self.grid.materials
+            pictures = self._read(name, [picture_name(material) for material in materials])
+            compare = partial(self._compare, name, scene, dict(zip(materials, pictures, strict=True)))
+            advance = part_of(progress, k * len(drawn), total)
+            for done, (record, found) in enumerate(zip(drawn, thread_map(compare, drawn), strict=True), 1):
+                if name == ONLY:
+                    record.differences = found
+                else:
+                    record.pictures[name] = found
+                advance(done, len(drawn))
+        self.grid.save()
+
+    def _references(self, *parts: str) -> list[tuple[Brdf, list[str]]]:
+        return [(group, [picture_name(name, *parts) for name in group.names]) for group in self.grid.groups]
+
+    def _draw(self, name: str, scene: Scene, jobs: Sequence[tuple[Brdf, list[str]]]) -> None:
+        """Draw what is not there yet: BRDFs, and the names of their pictures."""
+        jobs = [job for job in jobs if not all(self.path(one, name, ".exr").exists() for one in job[1])]
+        folder, done, total = self.grid.folder, 0, sum(len(names) for _, names in jobs)
+        progress = folder.progress(f"renders, {name}" if name else "renders")
+        for brdf, names in jobs:
+            for one, linear in zip(names, render(brdf, scene), strict=True):
+                write_exr(self.path(one, name, ".exr"), linear)
+                done += 1
+                progress(done, total)
+            folder.log(f"{f'{name}: ' if name else ''}{len(names)} renders: {names[0]} to {names[-1]}")
+
+    def _compare(
+        self, name: str, scene: Scene, references: Mapping[str, Tensor], record: FitRecord
+    ) -> dict[str, float]:
+        """Write the PNG of a fit; its image differences by name."""
+        fit = self.grid.picture(record)
+        linear = torch.stack([self._read(name, [fit])[0], references[record.material]])
+        shown = self.tones[name](linear)
+        write_png(self.path(fit, name), composite(shown[0], scene.coverage))
+        if self.maps:
+            colors = COLOR_MAP((color_difference(*shown) / BRIGHTEST).clamp(0, 1).numpy())[..., :3]
+            write_png(self.path(f"map-{fit}", name), composite(torch.from_numpy(colors).to(linear), scene.coverage))
+        found = {}
+        for key in self.differences:
+            difference = DIFFERENCES[key]()
+            pair = linear if difference.linear else shown
+            found[key] = difference(pair[:1], pair[1:], scene.mask).item()
+        return found
+
+    def _read(self, scene: str, names: Sequence[str]) -> Tensor:
+        return torch.stack([read_image(self.path(name, scene, ".exr")) for name in names])
+
+
+def color_difference(display: Tensor, reference: Tensor) -> Tensor:
+    """CIELAB Delta E 76 of every pixel of display values `(..., H, W, 3)`: `(..., H, W)`."""
+    return (lab(display) - lab(reference)).square().sum(-1).sqrt()

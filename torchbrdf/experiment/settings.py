@@ -1,0 +1,130 @@
+"""Settings that recipes share, and how what they name is made or read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from torchbrdf.errors import DataError, UsageError
+from torchbrdf.experiment.grid import FitGrid
+from torchbrdf.losses import Loss
+from torchbrdf.measured import Measured, load_all, standins
+from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
+from torchbrdf.recipe import Recipe, RunFolder
+
+STANDINS = "stand-ins"
+# Pairs that the solver sees at most in a quick run.
+QUICK_SAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class FitGridRecipe(Recipe):
+    """Settings of a recipe that fits models to materials under losses."""
+
+    materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
+    models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
+    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
+    lobes: int = field(default=2, metadata={"help": "specular lobes"})
+    strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
+    diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit: every loss chooses its own"})
+    max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
+    samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
+
+    def __post_init__(self) -> None:
+        self.expect_names("models", "losses")
+        if self.lobes < 1:
+            raise UsageError(f"{self.name}: lobes: expected at least 1, found {self.lobes}")
+        if not 0 < self.max_theta <= 90:
+            raise UsageError(f"{self.name}: max_theta: expected above 0 and at most 90, found {self.max_theta}")
+
+    def expect_names(self, *settings: str) -> None:
+        """A UsageError if one of these settings is empty."""
+        for key in settings:
+            if not getattr(self, key):
+                raise UsageError(f"{self.name}: {key}: expected at least one name, found none")
+
+    def make_grid(
+        self,
+        folder: RunFolder,
+        groups: list[Measured],
+        losses: Mapping[str, Loss],
+        *,
+        models: tuple[str, ...] = (),
+        lobes: tuple[int, ...] = (),
+        compare_strategy: str | None = None,
+    ) -> FitGrid:
+        """The grid of fits that the settings describe.
+
+        Args:
+            folder: Of the run.
+            groups: The materials.
+            losses: By name.
+            models: Where not all of the setting.
+            lobes: Numbers of lobes, where there are several.
+            compare_strategy: Another strategy.
+        """
+        return FitGrid(
+            folder,
+            groups,
+            models or self.models,
+            losses,
+            lobes=lobes or (self.lobes,),
+            strategy=self.strategy,
+            compare_strategy=compare_strategy,
+            diffuse=self.diffuse,
+            max_theta=self.max_theta,
+            samples=min(self.samples or QUICK_SAMPLES, QUICK_SAMPLES) if self.quick else self.samples,
+            seed=self.seed,
+        )
+
+
+def load_materials(materials: str, folder: RunFolder, quick: bool) -> tuple[list[Measured], list[str]]:
+    """The measured BRDFs of a file or a folder, or the stand-ins.
+
+    Args:
+        materials: A path, or `stand-ins`.
+        folder: Of the run; its log says what was left out.
+        quick: Take two of each format.
+
+    Returns:
+        The materials by format, and what was left out.
+
+    Raises:
+        DataError: There is not one that can be read.
+
+    Example:
+        >>> from pathlib import Path
+        >>> groups, left_out = load_materials(STANDINS, RunFolder(Path()), quick=True)
+        >>> groups[0].names, left_out
+        (['alum-bronze', 'aluminium'], [])
+    """
+    bad: list[DataError] = []
+    groups = load_all(standins() if materials == STANDINS else materials, bad=bad)
+    if not groups:
+        raise bad[0] if bad else DataError(f"{materials}: no measured BRDFs")
+    for error in bad:
+        folder.warn(f"left out: {error}")
+    if quick:
+        groups = [group.batch(range(min(2, len(group)))) for group in groups]
+    return groups, [str(error) for error in bad]
+
+
+@dataclass(frozen=True)
+class HumanAnswersRecipe(Recipe):
+    """Settings of a recipe that reads materials, their published approximations, and what people answered."""
+
+    materials: str = field(default="", metadata={"help": "a folder with the 100 MERL tables"})
+    human: str = field(default="", metadata={"help": "a folder with the published answers"})
+    fits: str = field(default="published_fits.json", metadata={"help": "published parameters of approximations"})
+    factors: str = field(
+        default="npf.bin",
+        metadata={
+            "help": f"non-parametric factors of approximations, method {FACTORS}; left out where there is no such file"
+        },
+    )
+    triplets: str = field(default="lagunas2019_triplets_train.json", metadata={"help": "a file in `human`"})
+    opinions: str = field(default="lavoue2021_distances_train.csv", metadata={"help": "a file in `human`"})
+    samples: int = field(default=6000, metadata={"help": "pairs, uniform in theta_i, theta_o and phi"})
+    replicates: int = field(default=1000, metadata={"help": "bootstrap replicates over materials"})
+
+    def read_benchmark_data(self) -> BenchmarkData:
+        """The materials, approximations and answers that the settings name."""
+        return read_benchmark_data(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)
