@@ -31,8 +31,8 @@ from torchbrdf.perception.learning.training import (
     Split,
     baseline_distances,
     best_iteration,
-    finished,
     held_out,
+    normalized_weights,
     splits,
     train,
 )
@@ -137,7 +137,7 @@ class TrainMetric(Recipe):
                 for name, part in lesson.statistics.items()
             },
         }
-        metric = form() | {"weights": finished(lesson, whole), "provenance": provenance}
+        metric = form() | {"weights": normalized_weights(lesson, whole), "provenance": provenance}
         write_text(folder.path / "metric.json", json.dumps(metric) + "\n")
         write_text(folder.path / "held_out.json", json.dumps({"materials": table, "methods": methods}, indent=1) + "\n")
         marks = [fact["mark"] for fact in facts if fact["mark"]]

@@ -248,7 +248,7 @@ def inside(folder: Path, picture: str, where: Path) -> Path:
 
 
 def catch_pair(material: Material, experiment: Experiment) -> tuple[str, str] | None:
-    """Pair of a catch trial: the measured material, which is right, and the stimulus that differs most; None if unknown."""
+    """Pair of a catch trial: the measured material, which is right, and the stimulus that differs most, or None."""
     known = {
         name: material.stimuli[name].difference or 0.0
         for name in experiment.stimuli

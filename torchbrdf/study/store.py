@@ -109,7 +109,7 @@ class Store:
             raise
 
     def begin(self, experiment: str) -> str:
-        """Begin with a new observer, who has consented: gives the token of their own link. Their trials are fixed now."""
+        """Begin with a new observer, who has consented; gives the token of their link. Their trials are now fixed."""
         asked = self.plan.experiment(experiment)
         token = secrets.token_urlsafe(16)
         with self._writing() as db:
