@@ -24,9 +24,9 @@ from torchbrdf.perception.learning.training import (
     Split,
     baseline_distances,
     best_iteration,
-    finished,
     held_out,
     negative_log_likelihood,
+    normalized_weights,
     select_judgments,
     splits,
     train,
@@ -47,7 +47,7 @@ ALL = Split("all", torch.ones(len(TRAINING_SET.names), dtype=torch.bool))
 
 def test_distances_of_a_training_set_are_those_of_the_loss() -> None:
     weights = train(TRAINING_SET, ALL, 5).weights[-1]
-    named = finished(TRAINING_SET, weights)
+    named = normalized_weights(TRAINING_SET, weights)
     loss = LearnedLoss(reduction="none", weights={"weights": named})
     found = baseline_distances(TRAINING_SET, BRDFS, {"learned": loss})["learned"]
     own = TRAINING_SET.distances(weights)

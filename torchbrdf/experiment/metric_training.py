@@ -29,7 +29,7 @@ from torchbrdf.perception.learning.training import (
     Split,
     baseline_distances,
     best_iteration,
-    finished,
+    normalized_weights,
     held_out,
     splits,
     train,
@@ -203,7 +203,7 @@ def train_metric(
         },
     }
     return TrainedMetric(
-        form() | {"weights": finished(lesson, weights), "provenance": provenance},
+        form() | {"weights": normalized_weights(lesson, weights), "provenance": provenance},
         materials,
         {name: own for name, own in methods.items() if name != "majority"},
         torch.stack([courses[k].curve for k in plain]),

@@ -79,7 +79,7 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     Weights are squares, so at least 0, and the pointwise ones have a share of `MIN_POINTWISE_SHARE` of their sum; terms
     are taken in units of their means. There is nothing random in it; early stopping is the choice of an iteration.
     """
-    unit = units(training_set)
+    unit = term_scales(training_set)
     scaled = TrainingSet(**{**vars(training_set), "terms": training_set.terms / unit})
     start = torch.full_like(unit, len(unit) ** -0.5)
     roots = start.clone().requires_grad_()
@@ -115,8 +115,8 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     return History(torch.stack(curve), torch.stack(weights))
 
 
-def units(training_set: TrainingSet) -> Tensor:
-    """Scale of the terms `(T,)`: the mean of each over distances of two materials, or over all if there are none."""
+def term_scales(training_set: TrainingSet) -> Tensor:
+    """Scale of the terms `(T,)`: the mean of each over the distances of two materials, else over all."""
     return training_set.terms[_usual(training_set)].mean(0).clamp_min(1e-12)
 
 
@@ -127,8 +127,7 @@ def _usual(training_set: TrainingSet) -> Tensor:
 
 def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split]:
     """Repeated two-fold cross-validation over materials; and in the first of them, one method after the other left out
-    as well.
-    """
+    as well."""
     generator = torch.Generator().manual_seed(seed)
     count = len(training_set.names)
     for repeat in range(repeats):
@@ -146,7 +145,7 @@ def best_iteration(histories: list[History]) -> int:
     return int(torch.stack([history.curve[:, 1] for history in histories]).mean(0).argmin())
 
 
-def finished(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
+def normalized_weights(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
     """Finished weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
     mean = training_set.distances(weights)[_usual(training_set)].mean()
     return named(weights / mean.square())
