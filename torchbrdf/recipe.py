@@ -28,6 +28,23 @@ class Recipe:
 
     Every field has a type and a default, and `field(metadata={"help": ...})` where its name does not say enough;
     `__post_init__` refuses values that cannot be. `steps` does the work and returns the report's path.
+
+    Args:
+        quick: a small version, to see that all works.
+        seed: of everything that is drawn at random.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> from torchbrdf import Recipe
+        >>> @dataclass(frozen=True)
+        ... class Greeting(Recipe):
+        ...     name = "greeting"
+        ...     word: str = "hello"
+        ...     def steps(self, folder):
+        ...         (folder.path / "report.txt").write_text(self.word)
+        ...         return folder.path / "report.txt"
+        >>> Greeting(quick=True)
+        Greeting(quick=True, seed=0, word='hello')
     """
 
     name: ClassVar[str]
@@ -36,8 +53,15 @@ class Recipe:
     seed: int = dataclasses.field(default=0, metadata={"help": "seed of everything that is drawn at random"})
 
     def steps(self, folder: "RunFolder") -> Path:
-        """Do the work in this folder."""
-        raise NotImplementedError
+        """Do the work in this folder.
+
+        Args:
+            folder: where everything goes, with a log and progress.
+
+        Returns:
+            The path of the report.
+        """
+        raise NotImplementedError(f"{type(self).__name__}: a recipe gives steps(folder)")
 
 
 class RunFolder:
@@ -155,11 +179,27 @@ def versions() -> dict[str, str]:
 
 
 def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | None = None) -> Path:
-    """Run a recipe in the folder `out` and return the path of its report.
+    """Run a recipe in a folder.
 
     The folder gets `recipe.json`, with everything needed to repeat the run. Running the same recipe again in the same
-    folder takes up what is finished and does only the rest; a folder of another recipe is refused. For each kind of
-    work, `progress(label)` gives what is called as it goes on.
+    folder takes up what is finished and does only the rest; a folder of another recipe is refused.
+
+    Args:
+        recipe: what to run, with its settings.
+        out: the folder; made if it is not there.
+        progress: for each kind of work, `progress(label)` gives what is called with `(done, total)`.
+
+    Returns:
+        The path of the report.
+
+    Raises:
+        UsageError: the folder holds another run, or other files.
+        DataError: its recipe.json cannot be read.
+
+    Example:
+        >>> from torchbrdf.recipe import find_recipe, run
+        >>> recipe = find_recipe("fores2012")(quick=True)
+        >>> report = run(recipe, "runs/fores2012")  # doctest: +SKIP
     """
     out = Path(out)
     settings = json.loads(json.dumps(dataclasses.asdict(recipe)))

@@ -96,6 +96,7 @@ def test_an_image_difference_is_a_loss(installed: dict[str, str], paint: Path, t
     assert record["loss"] == "rendered_mydifference"
 
 
+@pytest.mark.slow
 def test_a_recipe_runs(installed: dict[str, str], tmp_path: Path) -> None:
     done = torchbrdf(installed, "run", "myrecipe", "quick=true", "--out", tmp_path / "run")
     assert (done.returncode, done.stderr) == (0, "")

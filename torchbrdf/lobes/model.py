@@ -87,8 +87,8 @@ def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
     """
     first, *rest = model.components()
     found: dict[str, Any] = {DIFFUSE: _plain(first, first.parameter_specs["albedo"], material)}
-    for name, bounded in type(rest[0]).parameter_specs.items():
-        found[name] = [_plain(part, bounded, material) for part in rest]
+    for name, spec in type(rest[0]).parameter_specs.items():
+        found[name] = [_plain(part, spec, material) for part in rest]
     return found
 
 
@@ -135,8 +135,8 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     return Sum(Lambert(albedo=diffuse, dtype=dtype), *lobes)
 
 
-def _plain(part: Lobe, bounded: BoundedParameter, material: int) -> Any:
-    value: Tensor = getattr(part, bounded.name).detach()
-    if value.dim() > len(bounded.shape):
+def _plain(part: Lobe, spec: BoundedParameter, material: int) -> Any:
+    value: Tensor = getattr(part, spec.name).detach()
+    if value.dim() > len(spec.shape):
         value = value[material]
-    return value.item() if bounded.size == 1 else value.tolist()
+    return value.item() if spec.size == 1 else value.tolist()

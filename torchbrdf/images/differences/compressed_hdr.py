@@ -13,8 +13,22 @@ class CompressedHDR(PixelDifference):
     In radiance^p of linear pictures, with the exponent p, 1/3 by default: about how lightness is seen. Negative
     radiance counts as 0. eps, in the pictures' own unit, keeps the slope of black finite; the default suits pictures
     whose white is near 1. `torchbrdf.losses.CompressedLoss` is the same on BRDFs.
+
+    Args:
+        exponent: the power p.
+        eps: added to radiance, in its unit.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Raises:
+        UsageError: the exponent is not in (0, 2], or eps is not above 0.
+
     Source: the compressive metric of A. Fores, J. Ferwerda, J. Gu, Toward a Perceptually Based Metric for BRDF
     Modeling, 2012, carried over to pictures; the power of 1/3 is that of CIE lightness, CIE 15.
+
+    Example:
+        >>> from torchbrdf.images import CompressedHDR
+        >>> CompressedHDR(exponent=0.5)
+        CompressedHDR(exponent=0.5, eps=0.001, reduction='none')
     """
 
     linear = True

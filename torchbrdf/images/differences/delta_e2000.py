@@ -18,6 +18,14 @@ class DeltaE2000(Difference):
     """Mean over pixels of `ciede2000` of display values, taken for sRGB; 0 for pictures that are equal.
 
     In units of CIEDE2000, of which 1 is about just noticeable.
+
+    Args:
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Example:
+        >>> from torchbrdf.images import DeltaE2000
+        >>> DeltaE2000(reduction="mean")
+        DeltaE2000(reduction='mean')
     """
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:

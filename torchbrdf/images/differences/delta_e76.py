@@ -22,6 +22,14 @@ class DeltaE76(PixelDifference):
     Lab is described at `lab`. A difference of about 2.3 is just noticeable.
     Source: the formula of 1976 in CIE 15, Colorimetry; for the 2.3, M. Mahy et al., Evaluation of Uniform Color
     Spaces Developed after the Adoption of CIELAB and CIELUV, 1994, doi:10.1111/j.1520-6378.1994.tb00070.x.
+
+    Args:
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Example:
+        >>> from torchbrdf.images import DeltaE76
+        >>> DeltaE76(reduction="mean")
+        DeltaE76(reduction='mean')
     """
 
     power = 1

@@ -51,7 +51,19 @@ class FLIP(Difference):
     picture, to the power 0.5. Both powers have an infinite slope where pictures are equal; there it counts as 0.
     67.02 pixels per degree are those of 3840 pixels over 0.7 m seen from 0.7 m. Symmetric; without unit.
 
+    Args:
+        pixels_per_degree: of the display, from where it is seen; at least 2.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Raises:
+        UsageError: pixels_per_degree is below 2.
+
     Source: P. Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020, doi:10.1145/3406183.
+
+    Example:
+        >>> from torchbrdf.images import FLIP
+        >>> FLIP(pixels_per_degree=40)
+        FLIP(pixels_per_degree=40, reduction='none')
     """
 
     def __init__(self, pixels_per_degree: float = PIXELS_PER_DEGREE, *, reduction: Reduction = "none") -> None:

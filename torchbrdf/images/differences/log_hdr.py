@@ -13,8 +13,21 @@ class LogHDR(PixelDifference):
     Natural logarithms of linear radiance: well above eps, 0.1 stands for a ratio of 1.1, however bright. Well below
     eps differences fade to (I - R) / eps, so that black has a value. eps is in the pictures' own unit; the default
     suits pictures whose white is near 1. Negative radiance counts as 0.
+
+    Args:
+        eps: added to radiance, in its unit.
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Raises:
+        UsageError: eps is not above 0.
+
     Source: the loss of G. Eilertsen et al., HDR Image Reconstruction from a Single Exposure Using Deep CNNs, 2017,
     doi:10.1145/3130800.3130816, is a mean square of such differences.
+
+    Example:
+        >>> from torchbrdf.images import LogHDR
+        >>> LogHDR(eps=0.1)
+        LogHDR(eps=0.1, reduction='none')
     """
 
     linear = True

@@ -24,6 +24,14 @@ class MSSSIM(Difference):
     Negative means count as 0, and then so does the gradient. The loss is 1 - MS-SSIM. Without unit.
     Source: Z. Wang, E. Simoncelli, A. Bovik, Multiscale Structural Similarity for Image Quality Assessment, 2003,
     doi:10.1109/ACSSC.2003.1292216. Written here because libraries give no maps, only means over whole pictures.
+
+    Args:
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Example:
+        >>> from torchbrdf.images import MSSSIM
+        >>> MSSSIM(reduction="mean")
+        MSSSIM(reduction='mean')
     """
 
     higher_is_better = True

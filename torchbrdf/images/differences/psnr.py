@@ -10,6 +10,14 @@ class PSNR(PixelDifference):
     """-10 log10(mse), with mse the mean squared difference of display values over pixels and channels.
 
     In decibels; infinite for pictures that are equal. The loss is the mse itself, in squared display values.
+
+    Args:
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Example:
+        >>> from torchbrdf.images import PSNR
+        >>> PSNR(reduction="mean")
+        PSNR(reduction='mean')
     """
 
     higher_is_better = True

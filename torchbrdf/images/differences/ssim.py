@@ -17,6 +17,14 @@ class SSIM(Difference):
     borders mirrored. The loss is 1 - SSIM. Without unit.
     Source: Z. Wang et al., Image Quality Assessment: From Error Visibility to Structural Similarity, 2004,
     doi:10.1109/TIP.2003.819861.
+
+    Args:
+        reduction: "none", "mean" or "sum" over the pictures.
+
+    Example:
+        >>> from torchbrdf.images import SSIM
+        >>> SSIM(reduction="mean")
+        SSIM(reduction='mean')
     """
 
     higher_is_better = True
