@@ -7,6 +7,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark
 from torchbrdf.losses import LOSSES
+from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
@@ -34,8 +35,7 @@ class HumanBenchmark(HumanAnswersRecipe):
                     raise UsageError(f"{self.name}: {key}: expected a folder; quick=true runs on made-up answers")
         if min(self.samples, self.replicates) < 2 or not 16 <= self.size <= 512:
             raise UsageError(f"{self.name}: expected 2 samples and replicates at least, and 16 to 512 pixels")
-        if not 0 < self.max_theta <= 90:
-            raise UsageError(f"{self.name}: max_theta: expected above 0 and at most 90, found {self.max_theta}")
+        check_max_theta(self.max_theta)
 
     def steps(self, folder: RunFolder) -> Path:
         """Distances of every loss, statistics, report."""

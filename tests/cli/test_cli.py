@@ -88,7 +88,11 @@ def test_run_lists_recipes_and_settings(capsys):
         (["fit", "PAINT", "--loss", "cube"], 2, "unknown loss 'cube'"),
         (["fit", "PAINT", "--strategy", "luck"], 2, "unknown strategy 'luck'"),
         (["fit", "PAINT", "--lobes", "0"], 2, "lobes: expected at least 1"),
-        (["fit", "PAINT", "--max-theta", "120"], 2, "--max-theta: expected degrees above 0 and at most 90, found 120"),
+        (
+            ["fit", "PAINT", "--max-theta", "120"],
+            2,
+            "max_theta: expected an angle above 0 and at most 90 degrees, found 120",
+        ),
         (["run", "fores2021"], 2, "unknown recipe 'fores2021'.*did you mean 'fores2012'"),
         (["run", "fores2012", "quik=true"], 2, "unknown setting of fores2012 'quik'"),
         (["run", "fores2012", "quick"], 2, "expected key=value, found 'quick'"),

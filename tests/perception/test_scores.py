@@ -132,9 +132,11 @@ def test_directions_are_uniform_in_three_angles():
     assert torch.equal(again.theta_h, pairs.theta_h) and not torch.equal(other.theta_h, pairs.theta_h)
 
 
-@pytest.mark.parametrize(("count", "limit"), [(0, 80.0), (10, 0.0), (10, 91.0)])
-def test_directions_that_cannot_be_are_refused(count, limit):
-    with pytest.raises(UsageError, match="uniform_pairs"):
+@pytest.mark.parametrize(
+    ("count", "limit", "where"), [(0, 80.0, "uniform_pairs"), (10, 0.0, "max_theta"), (10, 91.0, "max_theta")]
+)
+def test_directions_that_cannot_be_are_refused(count, limit, where):
+    with pytest.raises(UsageError, match=where):
         uniform_pairs(count, limit)
 
 

@@ -29,8 +29,8 @@ from torchbrdf.perception.learning.training import (
     Split,
     baseline_distances,
     best_iteration,
-    normalized_weights,
     held_out,
+    normalized_weights,
     splits,
     train,
 )

@@ -7,6 +7,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, load_all, standins
+from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
 from torchbrdf.recipe import Recipe, RunFolder
 
@@ -32,8 +33,7 @@ class FitGridRecipe(Recipe):
         self.expect_names("models", "losses")
         if self.lobes < 1:
             raise UsageError(f"{self.name}: lobes: expected at least 1, found {self.lobes}")
-        if not 0 < self.max_theta <= 90:
-            raise UsageError(f"{self.name}: max_theta: expected above 0 and at most 90, found {self.max_theta}")
+        check_max_theta(self.max_theta)
 
     def expect_names(self, *settings: str) -> None:
         """A UsageError if one of these settings is empty."""

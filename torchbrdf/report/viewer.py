@@ -119,7 +119,7 @@ def _page(
     return template("viewer.html").render(
         title=", ".join(materials[:3]) + (f" and {len(materials) - 3} more" if len(materials) > 3 else ""),
         items=items,
-        light_samples=list(zip(lights, tones, strict=True)),
+        lights=list(zip(lights, tones, strict=True)),
         size=size,
         steps=len(frames[0]),
         quality=QUALITY,
