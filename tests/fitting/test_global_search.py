@@ -12,13 +12,13 @@ import torch
 from helpers.known_models import Made, measured_from, some_pairs
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.fitting import Batches, Status, fit, score
-from torchbrdf.fitting.seeds import seeds
-from torchbrdf.fitting.solve import Task
-from torchbrdf.fitting.variables import evaluate, values_of
+from torchbrdf.fitting import Batches, Status, fit, score, stratified
+from torchbrdf.fitting.seeds import GRID, _from_unit, seeds
+from torchbrdf.fitting.solve import Task, descend
+from torchbrdf.fitting.variables import decode, evaluate, limits, values_of
 from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
-from torchbrdf.measured import Measured
+from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import each, each_apart
 
@@ -90,6 +90,46 @@ def test_seeds_are_near_the_truth(name, lobes):
     for (k, key), value in found.items():
         bounded = model.parts()[k].declared[key]
         assert value.shape[0] == 8 and (value >= bounded.lower).all() and (value <= bounded.upper).all()
+
+
+COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
+
+
+@pytest.mark.parametrize("name", COLORED)
+def test_random_starts_find_nothing_better(name):
+    """One lobe of every registered kind, on materials that none can be."""
+    measured, loss = load(standins(), dtype=torch.float64).batch([4, 6]).within(80.0), CosineRMSLoss()
+    measured = measured.batch(samples=stratified(len(measured.pairs), 2000, 0))
+    problem = loss.problem(measured)
+    best = fit(make_model(name, 1), measured, loss, diffuse="fit", samples=None).error
+    task = Task(make_model(name, 1, torch.float64).batched(2), problem, loss)
+    variables = task.moved(True)
+    low, high = limits(variables)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(12):
+        x = low + (high - low) * torch.rand(2, len(low), generator=generator, dtype=torch.float64)
+        start = values_of(task.model) | decode(variables, x, torch.float64)
+        _, found = descend(task, task.everyone, start, variables, task.parts, max_iterations=200)
+        assert (best <= found.value * 1.002).all()
+
+
+@pytest.mark.parametrize("name", COLORED)
+def test_seeds_are_exact_where_a_shape_is_on_the_grid(name):
+    """Of every registered lobe, with a colour anywhere within its bounds."""
+    pairs, kind, model = some_pairs(1000), LOBES[name], make_model(name, 1, torch.float64).batched(1)
+    lobe = model.parts()[1]
+    for bounded in kind.scalars():
+        size = max(2, round(GRID ** (1 / sum(not one.affine for one in kind.scalars()))))
+        place = torch.tensor([[0.3 if bounded.affine else (size // 2 + 0.5) / size]], dtype=torch.float64)
+        getattr(lobe, bounded.name).data = _from_unit(bounded, place)
+    color = kind.color()
+    getattr(lobe, color.name).data = color.upper * torch.tensor([[0.3, 0.5, 0.7]], dtype=torch.float64)
+    values, loss = model(pairs).detach(), RMSLoss()
+    found = seeds(Task(model, Problem(pairs, values), loss), values_of(make_model(name, 1).batched(1)), True, 1)
+    for bounded in kind.declared.values():
+        torch.testing.assert_close(
+            found[1, bounded.name].double(), getattr(lobe, bounded.name).detach(), rtol=1e-3, atol=0
+        )
 
 
 def test_a_model_without_a_diffuse_lobe():

@@ -2,8 +2,8 @@
 
 A lobe is linear in its albedo and, with Schlick's Fresnel, affine in F0. For each shape on a grid, the lobe at albedo 1
 with its affine parameters at either end are the atoms; a lobe within its bounds is a sum of them with factors of at
-least 0, and the best factors are a small least-squares problem with bounds. Colours share one F0, which is relaxed here
-and projected afterwards. All of it follows from what lobes declare.
+least 0, and the best factors are a small least-squares problem with the bounds of the lobe's colour. Colours share one
+F0, which is relaxed here and projected afterwards. All of it follows from what lobes declare.
 """
 
 import itertools
@@ -51,7 +51,10 @@ def seeds(task: Task, values: Values, fit_diffuse: bool, wanted: int) -> Values:
     weight = _weight(task)
     gram = (weight[..., None, :] * columns) @ columns.mT
     right = -((weight * target)[..., None, :] @ columns.mT)[..., 0, :]
-    picked, factor = _search(gram, right, kinds, int(fit_diffuse))
+    base = [_limits(task.model.parts()[task.diffuse[0]], 1)] if fit_diffuse else []
+    unique = {id(kind): kind for kind in kinds}.values()
+    limits = torch.cat([*base, *(kind.limits for kind in unique)], 1).to(gram)
+    picked, factor = _search(gram, right, limits, kinds, int(fit_diffuse))
     chosen = _apart(picked, kinds, wanted)
     return _values(task, values, kinds, _take(picked, chosen), _take(factor, chosen), fit_diffuse)
 
@@ -60,7 +63,7 @@ class _Kind:
     """One kind of lobe: its shapes on a grid, and its atoms, shapes times ends of the affine parameters.
 
     grid: `(K, S)`, from 0 to 1 on the solver's scale; ends: E tuples; atoms: `(K E, N)`; first: the column of the
-    first of them.
+    first of them; limits: of each factor, `(2, K E)`.
     """
 
     def __init__(self, lobe: Lobe, pairs: Pairs, first: int) -> None:
@@ -80,11 +83,23 @@ class _Kind:
             scalars = [named[bounded.name][:, None].to(pairs.dtype) for bounded in lobe.scalars()]
             columns.append(type(lobe).linearized(pairs, *scalars)[0].expand(len(self.grid), -1).double())
         self.atoms = torch.stack(columns, 1).flatten(0, 1)
+        self.limits = _limits(lobe, len(self.ends)).repeat(1, len(self.grid))
 
     def columns(self, picked: Tensor) -> Tensor:
         """The atoms of the shapes `picked`, `(...)` to `(..., E)`."""
         ends = torch.arange(len(self.ends), device=picked.device)
         return self.first + picked[..., None] * len(self.ends) + ends
+
+
+def _limits(lobe: Lobe, ends: int) -> Tensor:
+    """The least and the largest factor of each of a lobe's atoms with one shape, `(2, ends)`.
+
+    Where several atoms make up the colour together, one alone may be 0 although the colour may not.
+    """
+    color = lobe.color()
+    assert color is not None
+    lower = color.lower if ends == 1 else min(color.lower, 0.0)
+    return torch.tensor([[lower], [color.upper]], dtype=torch.float64).expand(2, ends)
 
 
 def _from_unit(bounded: Bounded, place: Tensor) -> Tensor:
@@ -114,10 +129,11 @@ def _weight(task: Task) -> Tensor:
     return weight.expand(*weight.shape[:2], aim.shape[-1])
 
 
-def _search(gram: Tensor, right: Tensor, kinds: list[_Kind], base: int) -> tuple[Tensor, Tensor]:
+def _search(gram: Tensor, right: Tensor, limits: Tensor, kinds: list[_Kind], base: int) -> tuple[Tensor, Tensor]:
     """Combinations of shapes, the best first, `(M, C, lobes)`, and their factors, `(M, C, 3, q)`.
 
-    gram: `(M|1, 3|1, Q, Q)`; right: `(M, 3, Q)`; the first `base` columns are in every combination.
+    gram: `(M|1, 3|1, Q, Q)`; right: `(M, 3, Q)`; limits: of the factors, `(2, Q)`; the first `base` columns
+    are in every combination.
     """
     picked = torch.zeros(len(right), 1, 0, dtype=torch.long, device=right.device)
     for depth, kind in enumerate(kinds):
@@ -125,7 +141,7 @@ def _search(gram: Tensor, right: Tensor, kinds: list[_Kind], base: int) -> tuple
         picked = torch.cat([picked[:, :, None].expand(-1, -1, len(kind.grid), -1), more[..., None]], -1).flatten(1, 2)
         used = [torch.arange(base, device=right.device).expand(*picked.shape[:2], base)]
         used += [one.columns(picked[..., k]) for k, one in enumerate(kinds[: depth + 1])]
-        factor, error = _factors(gram, right, torch.cat(used, -1))
+        factor, error = _factors(gram, right, limits, torch.cat(used, -1))
         if depth and kinds[depth - 1] is kind:  # equal lobes in no order: each combination once
             error = torch.where(picked[..., depth - 1] <= picked[..., depth], error, math.inf)
         keep = int(error.isfinite().sum(1).min())
@@ -134,9 +150,9 @@ def _search(gram: Tensor, right: Tensor, kinds: list[_Kind], base: int) -> tuple
     return picked, factor
 
 
-def _factors(gram: Tensor, right: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
-    """The factors of the columns `used`, `(M, C, q)`, for each channel, `(M, 3, C, q)`, from 0 to 1; and the error of
-    the combination but for a constant, `(M, C)`."""
+def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
+    """The factors of the columns `used`, `(M, C, q)`, for each channel, `(M, 3, C, q)`, within their limits; and the
+    error of the combination but for a constant, `(M, C)`."""
     materials, _, size = used.shape
     gram = gram.expand(materials, 3, -1, -1)
     m = torch.arange(materials, device=used.device)[:, None, None]
@@ -147,7 +163,8 @@ def _factors(gram: Tensor, right: Tensor, used: Tensor) -> tuple[Tensor, Tensor]
     scale = torch.diagonal(matrix, dim1=-2, dim2=-1).clamp_min(1e-300).rsqrt()
     matrix = matrix * scale[..., :, None] * scale[..., None, :]
     matrix = matrix + 1e-9 * torch.eye(size, dtype=matrix.dtype, device=matrix.device)
-    small = (part.cpu().numpy() for part in (matrix, slope * scale, torch.zeros_like(scale), 1 / scale))
+    lower, upper = limits[:, used][:, :, None]
+    small = (part.cpu().numpy() for part in (matrix, slope * scale, lower / scale, upper / scale))
     factor = torch.from_numpy(minimize_quadratic(*small)).to(scale)
     error = (slope * scale * factor).sum(-1) + 0.5 * (factor * (matrix @ factor[..., None])[..., 0]).sum(-1)
     return factor * scale, error.sum(1).nan_to_num(0.0)
