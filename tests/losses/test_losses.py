@@ -1,7 +1,9 @@
 """What every registered loss keeps to. A new loss needs a plain formula here, and gets the rest for free."""
 
+import copy
 import inspect
 import json
+import pickle
 from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import Ward
-from torchbrdf.losses import LOSSES, CompressedLoss, LeastSquares, Loss
+from torchbrdf.losses import LOSSES, CompressedLoss, Loss
 from torchbrdf.losses.base import weighted_mean
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -320,12 +322,62 @@ def test_the_default_eps_does_not_matter(name: str, size: float, ratio: float) -
 
 
 @every_loss
-def test_residuals_are_what_is_squared(name: str) -> None:
-    loss = make(name)
-    if isinstance(loss, LeastSquares):
-        p, t, pairs = some_values(20, seed=3), some_values(20, seed=4), some_pairs(20)
-        torch.testing.assert_close(loss.pointwise(p, t, pairs), loss.residuals(p, t, pairs) ** 2)
-        assert (loss.residuals(p, t, pairs).sign() == (p - t).sign()).all()
+def test_a_state_dict_makes_a_loss_what_another_is(name: str) -> None:
+    """Also one whose own weights were different and used before."""
+    p, t, pairs = some_values(2, 30, seed=3), some_values(2, 30, seed=4), some_pairs(2, 30)
+    one, other = make(name), make(name)
+    state = {
+        key: (1.5 + torch.arange(value.numel()).reshape(value.shape)) * value for key, value in one.state_dict().items()
+    }
+    before = other(p, t, pairs)
+    one.load_state_dict(state)
+    other.load_state_dict(one.state_dict())
+    assert torch.equal(one(p, t, pairs), other(p, t, pairs))
+    assert torch.equal(one(p, t, pairs), before) == (not state)
+    assert sorted(one.state_dict()) == sorted(make(name).state_dict())
+
+
+@every_loss
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision(name: str, dtype: torch.dtype) -> None:
+    """Values, pairs and the loss itself: as right as the values that are left."""
+    p, t, pairs = (
+        x.to(dtype=dtype) for x in (some_values(2, 30, seed=3), some_values(2, 30, seed=4), some_pairs(2, 30))
+    )
+    expected = make(name)(p.double(), t.double(), pairs.to(dtype=torch.float64))
+    for loss in (make(name, exact=False), make(name, exact=False).to(dtype)):
+        error = loss(p, t, pairs)
+        assert error.dtype == dtype
+        torch.testing.assert_close(error.double(), expected, rtol=0.01, atol=0)
+        torch.testing.assert_close(loss.error(p, t, pairs), expected, rtol=1e-3, atol=0)
+
+
+@every_loss
+def test_copies(name: str) -> None:
+    """Deep ones and pickled ones, after use: they are the same loss and carry no tensors of others."""
+    p, t, pairs, loss = some_values(2, 3000, seed=3), some_values(2, 3000, seed=4), some_pairs(2, 3000), make(name)
+    expected = loss(p, t, pairs)
+    stored = pickle.dumps(loss)
+    assert len(stored) < 20_000
+    for same in (copy.deepcopy(loss), pickle.loads(stored)):
+        assert torch.equal(same(p, t, pairs), expected) and repr(same) == repr(loss)
+
+
+def test_what_is_printed() -> None:
+    """The arguments that matter, as a call of the constructor."""
+    assert repr(LOSSES["rms"]()) == "RMSLoss()"
+    assert repr(LOSSES["rms"]("none")) == "RMSLoss(reduction='none')"
+    assert repr(CompressedLoss(0.5)) == "CompressedLoss(exponent=0.5)"
+    assert repr(CompressedLoss(0.5, "sum", eps=0.0)) == "CompressedLoss(exponent=0.5, reduction='sum', eps=0.0)"
+    assert repr(LOSSES["cuberoot"](eps=0.0)) == "CubeRootLoss(eps=0.0)"
+
+
+@every_loss
+def test_what_is_printed_says_what_differs(name: str) -> None:
+    changed = {key: 0.25 for key in ("exponent", "eps") if key in inspect.signature(LOSSES[name]).parameters}
+    for key, value in changed.items():
+        assert f"{key}={value}" in repr(LOSSES[name](**{key: value}))
+    assert "reduction='sum'" in repr(LOSSES[name](reduction="sum"))
 
 
 @every_loss

@@ -1,8 +1,9 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ from torchbrdf.registry import Registry
 LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses")
 
 Reduction = Literal["none", "mean", "sum"]
+HALVES = (torch.float16, torch.bfloat16)
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,7 @@ class Loss(nn.Module):
     ) -> Tensor:
         """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
         self._check(prediction, target, pairs, weight)
+        prediction, target, pairs = self._widened(prediction, target, pairs)
         return self.figure(weighted_mean(self.pointwise(prediction, target, pairs), self.counted(pairs, weight)))
 
     def forward(
@@ -155,6 +158,26 @@ class Loss(nn.Module):
         part = measured if subset is None else measured.batch(samples=subset)
         return Problem(part.pairs, part.values, part.weight)
 
+    def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
+        """Values of half precision in float32: they are stored so, but hold too little to be worked with."""
+        if prediction.dtype in HALVES:
+            prediction = prediction.float()
+        if target.dtype in HALVES:
+            target = target.float()
+        if self.needs and pairs is not None and pairs.dtype in HALVES:
+            pairs = pairs.to(dtype=torch.float32)
+        return prediction, target, pairs
+
+    def extra_repr(self) -> str:
+        """The arguments of the constructor that are not the defaults."""
+        parameters = inspect.signature(type(self).__init__).parameters.values()
+        given = [(one.name, getattr(self, one.name)) for one in parameters if hasattr(self, one.name)]
+        defaults = {one.name: one.default for one in parameters}
+        return ", ".join(f"{name}={value!r}" for name, value in given if value != defaults[name])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "_aimed": None}  # copies and other processes have other targets
+
     def _check(self, prediction: Tensor, target: Tensor, pairs: Pairs | None, weight: Tensor | None) -> None:
         name = type(self).__name__
         if prediction.dim() < 2 or target.dim() < 2:
@@ -174,11 +197,7 @@ class Loss(nn.Module):
 
 
 class LeastSquares(Loss):
-    """A loss that is a root mean square of residuals, so that Gauss-Newton solvers apply."""
-
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """Signed differences, `(..., N, C)`."""
-        return self.encode(prediction, pairs) - self.encode(target, pairs)
+    """A loss that is a root mean square of differences."""
 
     def penalty(self, difference: Tensor) -> Tensor:
         """The square."""
@@ -203,6 +222,11 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
     weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
     total = (values * weight).sum((-2, -1), dtype=torch.float64)
     return total / weight.sum((-2, -1), dtype=torch.float64)
+
+
+def version(x: Tensor) -> int:
+    """Changes with the tensor's content; those of inference mode have none, and cannot change outside it."""
+    return -1 if torch.compiler.is_compiling() or x.is_inference() else x._version
 
 
 def safe_sqrt(x: Tensor) -> Tensor:

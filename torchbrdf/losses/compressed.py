@@ -24,6 +24,11 @@ class CompressedLoss(LeastSquares):
             raise UsageError(f"CompressedLoss: expected an exponent above 0 and at most 2, found {exponent}")
         self.exponent, self.eps = exponent, eps
 
+    def extra_repr(self) -> str:
+        """The exponent, and what else is not the default."""
+        rest = [part for part in super().extra_repr().split(", ") if part and not part.startswith("exponent")]
+        return ", ".join([f"exponent={self.exponent:g}", *rest])
+
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """(M cos_i)^p."""
         x = (values * cosine(pairs)).clamp_min(0)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchbrdf.losses.base import Loss, Reduction, safe_sqrt
+from torchbrdf.losses.base import Loss, Reduction, safe_sqrt, version
 from torchbrdf.pairs import Pairs
 
 # A group that holds less than this share of the pairs fades instead of saying much about little.
@@ -46,7 +46,7 @@ class GroupedLoss(Loss):
 
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__(reduction)
-        self._kept: tuple[Pairs, int, Grouping] | None = None
+        self._kept: tuple[Pairs, Tensor, tuple[int, torch.dtype, int], Grouping] | None = None
 
     def groups(self, pairs: Pairs) -> Tensor:
         """How much of each pair is in each group, `(..., N, G)`; the shares of a pair add up to 1."""
@@ -73,6 +73,7 @@ class GroupedLoss(Loss):
     ) -> Tensor:
         """The distance of each material, `(...)`, float64."""
         self._check(prediction, target, pairs, weight)
+        prediction, target, pairs = self._widened(prediction, target, pairs)
         assert pairs is not None
         difference = self.encode(prediction, pairs) - self.remembered(target, pairs, lambda: self.encode(target, pairs))
         difference, weight = self.even(difference, weight)
@@ -89,11 +90,11 @@ class GroupedLoss(Loss):
         Those without weights are kept for when the same pairs come again, as they do in every step of a fit.
         """
         count, channels = like.shape[-2:]
-        kept = self._kept
-        if kept is not None and kept[0] is pairs and kept[1] == channels and kept[2].shares.dtype == like.dtype:
+        kept, key = self._kept, (channels, like.dtype, version(self.square_weight))
+        if kept is not None and kept[0] is pairs and kept[1] is self.square_weight and kept[2] == key:
             if weight is None:
-                return kept[2]
-            shares = kept[2].shares
+                return kept[3]
+            shares = kept[3].shares
         else:
             shares = self.groups(pairs).to(like)
             shares = shares.expand(*shares.shape[:-2], count, shares.shape[-1])  # one pair may stand for all
@@ -101,8 +102,8 @@ class GroupedLoss(Loss):
         profile = shares @ (self.square_weight.to(held) / (channels * held)).mT.to(shares)
         own = Grouping(shares, held, profile.expand(*profile.shape[:-1], channels).contiguous())
         if weight is None and shares.numel() <= KEPT and not (shares.requires_grad or torch.compiler.is_compiling()):
-            self._kept = pairs, channels, own
+            self._kept = pairs, self.square_weight, key, own
         return own
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_kept": None, "_aimed": None}  # copies and other processes have other pairs
+        return {**super().__getstate__(), "_kept": None}  # copies and other processes have other pairs

@@ -1,17 +1,17 @@
 """A distance between BRDFs whose weights were learned from what people answered."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.losses.base import LOSSES, Reduction
+from torchbrdf.losses.base import LOSSES, Reduction, version
 from torchbrdf.losses.grouped import GroupedLoss, holdings
 from torchbrdf.pairs import Pairs
 
@@ -67,11 +67,11 @@ class LearnedLoss(GroupedLoss):
         data = read_weights(weights)
         self.provenance: dict[str, Any] = dict(data.get("provenance", {}))
         pointwise, averages = arrange(data["weights"])
+        self.weights = weights if isinstance(weights, str | Path) else None
         self.average_weight: Tensor
-        self.factor: Tensor
         self.register_buffer("square_weight", pointwise)
         self.register_buffer("average_weight", averages)
-        self.register_buffer("factor", factor(averages, 3), persistent=False)
+        self._factor: tuple[Tensor, int, int, Tensor] | None = None
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """(max(M, 0) cos_i cos_o + FLOOR)^(1/4)."""
@@ -87,8 +87,24 @@ class LearnedLoss(GroupedLoss):
         return soft_bins(pairs)
 
     def root(self, channels: int) -> Tensor:
-        """`factor` of the weights."""
-        return self.factor if channels == 3 else factor(self.average_weight, channels)
+        """`factor` of the weights, kept as long as they stay what they are."""
+        weight, kept = self.average_weight, self._factor
+        if torch.compiler.is_compiling() or weight.requires_grad:
+            return factor(weight, channels)
+        if kept is None or kept[0] is not weight or kept[1:3] != (version(weight), channels):
+            kept = self._factor = weight, version(weight), channels, factor(weight, channels)
+        return kept[3]
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Weights follow to another device, but stay float64, as sums are; half precision would round them."""
+        before = dict(self.named_buffers(recurse=False))
+        super()._apply(fn, recurse)
+        for name, buffer in before.items():
+            setattr(self, name, buffer.to(getattr(self, name).device))
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "_factor": None}
 
     def even(self, difference: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """The luminance becomes that of the channels by their weights, each chroma that by its share of the largest."""

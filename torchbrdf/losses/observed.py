@@ -61,5 +61,6 @@ class ObservedLoss(Loss):
         self._check(prediction, target, pairs, weight)
         if weight is not None:
             raise ShapeError(f"{type(self).__name__}: expected no weights, found {(*weight.shape,)}")
+        prediction, target, _ = self._widened(prediction, target, None)
         aim = self.remembered(target, None, lambda: self.observe(target))
         return self.figure(self.value(self.observe(prediction), aim))

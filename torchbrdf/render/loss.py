@@ -51,6 +51,13 @@ class RenderedLoss(ObservedLoss):
         self.scene = scene.summary
         self._round()
 
+    def extra_repr(self) -> str:
+        """The difference, the scene and the reduction."""
+        tone = "" if self.tone is None else ", tone=..."
+        rest = super().extra_repr().split("reduction=")
+        reduction = f", reduction={rest[1]}" if len(rest) > 1 else ""
+        return f"{self.scene!r}, {self.difference.registered_name!r}{tone}{reduction}"
+
     @property
     def registered_name(self) -> str:
         """`rendered_` and the name of the difference."""
