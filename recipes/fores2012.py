@@ -27,7 +27,7 @@ class Fores2012(Recipe):
 
     materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
-    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
+    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root")
     lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares"})
     strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
     beside: str | None = field(default="staged", metadata={"help": "another strategy to compare with, or none"})
@@ -69,7 +69,7 @@ class Fores2012(Recipe):
             folder=folder,
             groups=groups,
             models=self.models,
-            losses={name: LOSSES[name]() for name in self.losses},
+            losses={LOSSES.canonical(name): LOSSES[name]() for name in self.losses},
             lobes=(1, 2) if self.lobes == 1 else (self.lobes,),
             strategy=self.strategy,
             beside=self.beside,

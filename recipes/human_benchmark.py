@@ -74,7 +74,7 @@ class HumanBenchmark(Recipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Distances of every loss, statistics, report."""
-        kinds = {name: LOSSES[name] for name in self.losses or LOSSES}
+        kinds = {LOSSES.canonical(name): LOSSES[name] for name in self.losses or LOSSES}
         replicates = min(self.replicates, 200) if self.quick else self.replicates
         subjects = made_up(seed=self.seed) if self.quick else self._subjects()
         pairs = uniform_pairs(500 if self.quick else self.samples, self.max_theta, self.seed)

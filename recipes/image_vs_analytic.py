@@ -22,7 +22,7 @@ class ImageVsAnalytic(Recipe):
 
     materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
-    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot", "compressed", "log")
+    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log")
     rendered: tuple[str, ...] = field(
         default=("log_hdr", "delta_e"), metadata={"help": "image differences that are losses, too"}
     )
@@ -70,7 +70,7 @@ class ImageVsAnalytic(Recipe):
         turned = View(self.unseen_turn, elevation=self.unseen_elevation)
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
         scenes = {TRAINING: Scene(mesh, View(), light, size=size), UNSEEN: Scene(*other, size=size)}
-        losses: dict[str, Loss] = {name: LOSSES[name]() for name in self.losses}
+        losses: dict[str, Loss] = {LOSSES.canonical(name): LOSSES[name]() for name in self.losses}
         study = Study(
             folder=folder,
             groups=groups,

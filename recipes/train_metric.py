@@ -15,7 +15,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.files import replacing, write_text
 from torchbrdf.lobes import model_of, read_fits
 from torchbrdf.losses import LOSSES
-from torchbrdf.losses.learned import form
+from torchbrdf.losses.learned import schema
 from torchbrdf.measured import load_all, standins
 from torchbrdf.perception import (
     Opinions,
@@ -87,7 +87,11 @@ class TrainMetric(Recipe):
         samples, repeats, iterations = (500, 2, 15) if self.quick else (self.samples, self.repeats, self.iterations)
         pairs = uniform_pairs(samples, seed=self.seed).to(dtype=torch.float32)
         lessons, others, facts = [], [], []
-        losses = {name: kind(reduction="none") for name, kind in LOSSES.items() if kind.subsets and name != "learned"}
+        losses = {
+            name: kind(reduction="none")
+            for name, kind in LOSSES.items()
+            if kind.supports_subsampling and name != "learned"
+        }
         if self.human or (self.quick and not self.study):
             subjects = self._subjects() if self.human else made_up(seed=self.seed)
             seen = gather(subjects, pairs)
@@ -131,7 +135,7 @@ class TrainMetric(Recipe):
                 name: round(float(part.share(part.right(own[None]))), 4) for name, part in lesson.statistics.items()
             },
         }
-        metric = form() | {"weights": finished(lesson, whole), "provenance": provenance}
+        metric = schema() | {"weights": finished(lesson, whole), "provenance": provenance}
         write_text(folder.path / "metric.json", json.dumps(metric) + "\n")
         write_text(folder.path / "held_out.json", json.dumps({"materials": table, "methods": methods}, indent=1) + "\n")
         marks = [fact["mark"] for fact in facts if fact["mark"]]

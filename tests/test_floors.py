@@ -26,6 +26,7 @@ FLOORS = {
     "measured": 2,
     "lobes": 1,
     "losses": 1,
+    "solvers": 1,
     "images": 1,
     "pairs": 0,
     "registry": 0,

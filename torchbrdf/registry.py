@@ -20,10 +20,13 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """The registered things of one kind. Looking one up first imports every module of `package`."""
+    """The registered things of one kind. Looking one up first imports every module of `package`.
 
-    def __init__(self, kind: str, package: str) -> None:
-        self.kind, self.package = kind, package
+    aliases: names that a thing had before, which find it, but are not listed.
+    """
+
+    def __init__(self, kind: str, package: str, aliases: Mapping[str, str] | None = None) -> None:
+        self.kind, self.package, self.aliases = kind, package, aliases or {}
         self._things: dict[str, T] = {}
         self._complete = False
 
@@ -38,6 +41,10 @@ class Registry(Mapping[str, T], Generic[T]):
 
         return put
 
+    def canonical(self, name: str) -> str:
+        """The name that a thing is listed under, in the place of an alias."""
+        return self.aliases.get(name, name)
+
     def _all(self) -> dict[str, T]:
         if not self._complete:
             package = importlib.import_module(self.package)
@@ -47,13 +54,13 @@ class Registry(Mapping[str, T], Generic[T]):
         return self._things
 
     def __getitem__(self, name: str) -> T:
-        things = self._all()
+        things, name = self._all(), self.canonical(name)
         if name not in things:
             raise unknown(self.kind, name, things)
         return things[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._all()
+        return (self.canonical(name) if isinstance(name, str) else name) in self._all()
 
     def __iter__(self) -> Iterator[str]:
         return iter(sorted(self._all()))

@@ -1,6 +1,5 @@
 """The global strategy: seeds, the best of many starts, bad input, whole databases, work in processes."""
 
-import importlib
 import json
 import math
 import os
@@ -9,13 +8,15 @@ import sys
 
 import pytest
 import torch
-from helpers.known_models import Made, measured_from, some_pairs
+from helpers.known_models import Made, assert_within_bounds, measured_from, some_pairs
 
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.fitting import Batches, Status, fit, score, stratified
-from torchbrdf.fitting.seeds import GRID, _from_unit, seeds
-from torchbrdf.fitting.solve import Task, descend
-from torchbrdf.fitting.variables import decode, evaluate, limits, values_of
+from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
+from torchbrdf.fitting.objective import make_objective
+from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters, take
+from torchbrdf.fitting.scoring import material_batches
+from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured, load, standins
@@ -64,32 +65,30 @@ def test_it_is_never_worse_than_the_staged_procedure(name, loss):
     staged, best = (fit(make_model(name, 2), measured, loss, strategy=s, samples=1500) for s in ("staged", "global"))
     assert (best.error <= staged.error * 1.0005).all()
     assert [stage.name for stage in best.history][-1] == "all 2395 samples"
-    lower, upper = best.model.bounds
-    assert ((best.model.pack() >= lower - 1e-12) & (best.model.pack() <= upper * (1 + 1e-12))).all()
+    assert_within_bounds(best.model)
 
 
 @pytest.mark.parametrize("lobes", [1, 2, 3])
 @pytest.mark.parametrize("name", KINDS)
-def test_seeds_are_near_the_truth(name, lobes):
+def test_starts_are_near_the_truth(name, lobes):
     """The best start, without any descent, explains most of a material; each start has its own shapes."""
     pairs = some_pairs(1500)
     truth = two_lobes(name, 2)
     values = truth(pairs).detach()
     model = make_model(name, lobes, torch.float64).batched(2)
-    task = Task(model, Problem(pairs, values), CosineRMSLoss())
-    start = values_of(model) | {(0, "albedo"): truth.parts()[0].albedo.detach()}
-    found = seeds(task, start, False, 4)
-    shapes = torch.cat([found[k, SHAPE[name][0]] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
+    objective = make_objective(model, Problem(pairs, values), CosineRMSLoss())
+    start = get_parameters(model) | {"lobes.0.albedo": truth.parts()[0].albedo.detach()}
+    found = starts_from_dictionary(model, objective, start, False, 4)
+    shapes = torch.cat([found[f"lobes.{k}.{SHAPE[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
     for material in range(2):
         assert len(torch.unique(shapes[:, material], dim=0)) == 4
-    model_at = {key: value[:2] for key, value in found.items()}  # the best start of each
-    error = CosineRMSLoss("none")(evaluate(model, model_at, pairs, list(range(lobes + 1))), values, pairs)
-    assert (
-        error < (0.7 if lobes == 1 else 0.35) * CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
-    ).all()
-    for (k, key), value in found.items():
-        bounded = model.parts()[k].declared[key]
-        assert value.shape[0] == 8 and (value >= bounded.lower).all() and (value <= bounded.upper).all()
+    best = Parametrization(model, []).predict(take(found, slice(2)), pairs)  # the best start of each
+    error = CosineRMSLoss("none")(best, values, pairs)
+    black = CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
+    assert (error < (0.7 if lobes == 1 else 0.35) * black).all()
+    for one in free_parameters(model, range(lobes + 1)):
+        value = found[one.name]
+        assert value.shape[0] == 8 and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
 
 
 COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
@@ -100,36 +99,41 @@ def test_random_starts_find_nothing_better(name):
     """One lobe of every registered kind, on materials that none can be."""
     measured, loss = load(standins(), dtype=torch.float64).batch([4, 6]).within(80.0), CosineRMSLoss()
     measured = measured.batch(samples=stratified(len(measured.pairs), 2000, 0))
-    problem = loss.problem(measured)
     best = fit(make_model(name, 1), measured, loss, diffuse="fit", samples=None).error
-    task = Task(make_model(name, 1, torch.float64).batched(2), problem, loss)
-    variables = task.moved(True)
-    low, high = limits(variables)
+    model = make_model(name, 1, torch.float64).batched(2)
+    objective, free = (
+        make_objective(model, loss.problem(measured), loss),
+        Parametrization(model, free_parameters(model, [0, 1])),
+    )
+    low, high = free.limits()
     generator = torch.Generator().manual_seed(0)
     for _ in range(12):
         x = low + (high - low) * torch.rand(2, len(low), generator=generator, dtype=torch.float64)
-        start = values_of(task.model) | decode(variables, x, torch.float64)
-        _, found = descend(task, task.everyone, start, variables, task.parts, max_iterations=200)
+        start = get_parameters(model) | free.decode(x, torch.float64)
+        _, found = levenberg_marquardt_fit(objective, start, free, max_iterations=200)
         assert (best <= found.value * 1.002).all()
 
 
 @pytest.mark.parametrize("name", COLORED)
-def test_seeds_are_exact_where_a_shape_is_on_the_grid(name):
+def test_starts_are_exact_where_a_shape_is_on_the_grid(name):
     """Of every registered lobe, with a colour anywhere within its bounds."""
     pairs, kind, model = some_pairs(1000), LOBES[name], make_model(name, 1, torch.float64).batched(1)
     lobe = model.parts()[1]
     for bounded in kind.scalars():
-        size = max(2, round(GRID ** (1 / sum(not one.affine for one in kind.scalars()))))
+        size = max(2, round(16 ** (1 / sum(not one.affine for one in kind.scalars()))))
         place = torch.tensor([[0.3 if bounded.affine else (size // 2 + 0.5) / size]], dtype=torch.float64)
-        getattr(lobe, bounded.name).data = _from_unit(bounded, place)
+        getattr(lobe, bounded.name).data = from_unit(bounded, place)
     color = kind.color()
     getattr(lobe, color.name).data = color.upper * torch.tensor([[0.3, 0.5, 0.7]], dtype=torch.float64)
     values, loss = model(pairs).detach(), RMSLoss()
-    found = seeds(Task(model, Problem(pairs, values), loss), values_of(make_model(name, 1).batched(1)), True, 1)
-    for bounded in kind.declared.values():
-        torch.testing.assert_close(
-            found[1, bounded.name].double(), getattr(lobe, bounded.name).detach(), rtol=1e-3, atol=0
-        )
+    start, objective = (
+        get_parameters(make_model(name, 1).batched(1)),
+        make_objective(model, Problem(pairs, values), loss),
+    )
+    found = starts_from_dictionary(model, objective, start, True, 1)
+    for key in kind.declared:
+        expected = getattr(lobe, key).detach().float()
+        torch.testing.assert_close(found[f"lobes.1.{key}"], expected, rtol=1e-3, atol=0)
 
 
 def test_a_model_without_a_diffuse_lobe():
@@ -315,9 +319,10 @@ def test_processes_find_what_threads_find(two_threads, monkeypatch):
     measured = measured_from(two_lobes("ward", 4), some_pairs(600), materials=4)
     results = []
     for heavy in (10**9, 0):
-        monkeypatch.setattr(importlib.import_module("torchbrdf.fitting.score"), "HEAVY", heavy)
+        monkeypatch.setattr("torchbrdf.fitting.scoring.PROCESS_THRESHOLD", heavy)
         results.append(fit(make_model("ward", 2), measured, RMSLoss(), samples=300))
-    assert torch.equal(results[0].model.pack(), results[1].model.pack())
+    for one, other in zip(results[0].model.parameters(), results[1].model.parameters(), strict=True):
+        assert torch.equal(one, other)
     assert torch.equal(results[0].error, results[1].error)
 
 
@@ -334,8 +339,7 @@ def test_a_gpu_finds_what_the_cpu_finds(strategy):
 
 
 def test_a_large_batch_is_cut_for_the_cache_and_for_memory():
-    groups = importlib.import_module("torchbrdf.fitting.score").groups
     measured = measured_from(two_lobes("ward"), some_pairs(1000), materials=9)
-    found = list(groups(measured))
+    found = list(material_batches(measured))
     assert [k for group in found for k in group] == list(range(9))
     assert max(map(len, found)) <= -(-9 // torch.get_num_threads())

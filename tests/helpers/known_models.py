@@ -31,3 +31,11 @@ def measured_from(model, pairs=None, materials=1):
     """Materials that the model itself makes, whose 45:0 reading is the model's."""
     made = Made(model.batched(materials), pairs or some_pairs())
     return Measured(made, dtype=made.values.dtype)
+
+
+def assert_within_bounds(model):
+    """Every parameter of a model, but for rounding."""
+    for part in model.parts():
+        for name, bounded in part.declared.items():
+            value = getattr(part, name)
+            assert ((value >= bounded.lower - 1e-12) & (value <= bounded.upper * (1 + 1e-9))).all(), name

@@ -68,12 +68,12 @@ def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array
 # Values (N, 3), cosine (N, 1) and weight (N, 3); the solid angle is put into the weight by the test.
 PLAIN: dict[str, Callable[..., float]] = {
     "rms": lambda p, t, cos, weight: rms(p - t, weight),
-    "cosine": lambda p, t, cos, weight: rms((p - t) * cos, weight),
-    "cuberoot": plain_cube_root,
+    "cosine_rms": lambda p, t, cos, weight: rms((p - t) * cos, weight),
+    "cube_root": plain_cube_root,
     "compressed": plain_compressed,
     "learned": plain_learned,
     "log": plain_log,
-    "solid_angle_cosine": lambda p, t, cos, weight: rms((p - t) * cos, weight),
+    "solid_angle_cosine_rms": lambda p, t, cos, weight: rms((p - t) * cos, weight),
 }
 
 
@@ -109,7 +109,7 @@ def plain(name: str, prediction: Tensor, target: Tensor, pairs: Pairs, weight: T
         theta_d = np.arccos(np.clip(np.sum(half * wi, -1), -1, 1))
         cosines = np.maximum(wi[:, 2:], 0) * np.maximum(wo[:, 2:], 0)
         return plain_learned(prediction.numpy(), target.numpy(), cosines, theta_h, theta_d, weights[:, 0])
-    if name == "solid_angle_cosine":
+    if name == "solid_angle_cosine_rms":
         half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
         theta_h, theta_d = np.arccos(np.abs(half[:, 2])), np.arccos(np.sum(half * wi, -1))
         weights = weights * (np.sqrt(theta_h) * np.sin(theta_h) * np.sin(theta_d) * np.cos(theta_d))[:, None]
@@ -165,7 +165,7 @@ def test_nothing_between_equals(name: str, dtype: torch.dtype, exact: bool) -> N
     (gradient,) = torch.autograd.grad(loss(prediction, target, pairs).sum(), prediction)
     assert gradient.isfinite().all()
     assert ((gradient * (prediction - target))[:, 7:20].sum((1, 2)) > 0).all()
-    if loss.analytic:  # one value has no say in how another counts
+    if loss.separable:  # one value has no say in how another counts
         assert (gradient[:, 7:20] > 0).all()
 
 
@@ -369,7 +369,7 @@ def test_what_is_printed() -> None:
     assert repr(LOSSES["rms"]("none")) == "RMSLoss(reduction='none')"
     assert repr(CompressedLoss(0.5)) == "CompressedLoss(exponent=0.5)"
     assert repr(CompressedLoss(0.5, "sum", eps=0.0)) == "CompressedLoss(exponent=0.5, reduction='sum', eps=0.0)"
-    assert repr(LOSSES["cuberoot"](eps=0.0)) == "CubeRootLoss(eps=0.0)"
+    assert repr(LOSSES["cube_root"](eps=0.0)) == "CubeRootLoss(eps=0.0)"
 
 
 @every_loss

@@ -27,7 +27,7 @@ from torchbrdf.study import (
     write_answers,
 )
 
-LOSSES = ("rms", "cosine", "cuberoot")
+LOSSES = ("rms", "cosine_rms", "cube_root")
 
 
 def made(differences, orders=None):
@@ -46,14 +46,14 @@ def made(differences, orders=None):
 
 
 def wards(rms, cosine, cuberoot):
-    return {"ward-rms": rms, "ward-cosine": cosine, "ward-cuberoot": cuberoot}
+    return {"ward-rms": rms, "ward-cosine_rms": cosine, "ward-cube_root": cuberoot}
 
 
 def test_simulated_observers_choose_with_thurstones_probability():
-    plan = made({"nickel": {"ward-rms": 5.0, "ward-cuberoot": 3.0, "ward-log": 3.5}})
+    plan = made({"nickel": {"ward-rms": 5.0, "ward-cube_root": 3.0, "ward-log": 3.5}})
     answers = simulate(plan, plan.experiment("1"), 3000, noise=2.0)
     assert len(answers) == 9000
-    for better, worse, gap in (("ward-cuberoot", "ward-rms", 2.0), ("ward-cuberoot", "ward-log", 0.5)):
+    for better, worse, gap in (("ward-cube_root", "ward-rms", 2.0), ("ward-cube_root", "ward-log", 0.5)):
         own = [a.chosen == better for a in answers if {a.left, a.right} == {better, worse}]
         expected = norm.cdf(gap / (math.sqrt(2) * 2.0))
         assert abs(sum(own) / 3000 - expected) < 4 * math.sqrt(expected * (1 - expected) / 3000)
@@ -81,7 +81,7 @@ def test_simulations_that_cannot_be_are_refused(more, said):
 
 def test_a_difference_that_is_not_known_cannot_be_seen():
     plan = made({"nickel": wards(5.0, None, 3.0)})
-    with pytest.raises(UsageError, match="ward-cosine of nickel: its difference is not known"):
+    with pytest.raises(UsageError, match="ward-cosine_rms of nickel: its difference is not known"):
         simulate(plan, plan.experiment("1"), 1)
 
 
@@ -97,7 +97,7 @@ def test_the_papers_claim_is_said_as_it_comes_out():
     overall, by_gloss, *_ = claim(judged.scales, falls)
     assert "Of 5 materials and models it is better for 5, worse for 0" in overall and "holds everywhere" in overall
     assert ": supported by these answers" in by_gloss
-    found = {one.material: one.value for one in benefits(judged.scales, falls, "cuberoot", "rms")}
+    found = {one.material: one.value for one in benefits(judged.scales, falls, "cube_root", "rms")}
     expected = spearmanr(angles, [found[f"m{k}"] for k in range(5)], alternative="less")
     assert f"is {expected.statistic:.2f} (one-sided p = {expected.pvalue:.2g})" in by_gloss
 
@@ -115,10 +115,10 @@ def test_answers_about_something_else_claim_nothing():
 
 
 def test_what_observers_cannot_tell_from_the_measured_material_is_confused_with_it():
-    plan = made({"nickel": {"ward-cuberoot": 0.0, "cook-cuberoot": 9.0, MEASURED: 0.0}})
-    assert confused(judged_of(plan).scales) == {"nickel": {"ward-cuberoot"}}
-    better = made({"nickel": {"ward-cuberoot": 0.0, "cook-cuberoot": 9.0, MEASURED: 5.0}})
-    assert "ward-cuberoot" in confused(judged_of(better).scales)["nickel"]
+    plan = made({"nickel": {"ward-cube_root": 0.0, "cook-cube_root": 9.0, MEASURED: 0.0}})
+    assert confused(judged_of(plan).scales) == {"nickel": {"ward-cube_root"}}
+    better = made({"nickel": {"ward-cube_root": 0.0, "cook-cube_root": 9.0, MEASURED: 5.0}})
+    assert "ward-cube_root" in confused(judged_of(better).scales)["nickel"]
 
 
 def test_scales_find_what_simulated_observers_see():
@@ -126,7 +126,7 @@ def test_scales_find_what_simulated_observers_see():
     judged = judged_of(plan, observers=2000)
     unit = math.sqrt(2) * 2.0
     known = {(record["material"], record["stimulus"]): record["scale"] for record in judged.scales.records()}
-    for k, name in enumerate(("ward-rms", "ward-cosine", "ward-cuberoot")):
+    for k, name in enumerate(("ward-rms", "ward-cosine_rms", "ward-cube_root")):
         assert known["nickel", name] == pytest.approx((k - 1) / unit, abs=0.05)
         assert known["nylon", name] == pytest.approx(0, abs=0.05)
 
@@ -201,8 +201,8 @@ def test_a_user_adds_an_experiment_simulates_and_scales_it(run, capsys):
 
 
 def test_pairs_can_be_chosen(run, capsys):
-    assert main(["study", "add", str(run), "few", "--pairs", "ward-rms:ward-cuberoot,ward-cosine:measured"]) == 0
-    assert Plan.load(run).experiment("few").pairs == (("ward-rms", "ward-cuberoot"), ("ward-cosine", MEASURED))
+    assert main(["study", "add", str(run), "few", "--pairs", "ward-rms:ward-cube_root,ward-cosine_rms:measured"]) == 0
+    assert Plan.load(run).experiment("few").pairs == (("ward-rms", "ward-cube_root"), ("ward-cosine_rms", MEASURED))
     assert "4 trials an observer" in capsys.readouterr().out
 
 

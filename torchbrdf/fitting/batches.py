@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.result import write_csv
+from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.lobes import Lobe, model_name, read_fits, write_fits
-from torchbrdf.losses import Loss
+from torchbrdf.losses import LOSSES, Loss, as_loss
 from torchbrdf.measured import Measured
 
 # Materials of a batch for each core: few enough that little is lost when it is stopped.
@@ -24,8 +26,10 @@ class Batches:
     are a DataError, so that nothing is mixed. out: the folder, or None to write nothing. Settings are those of `fit`.
     """
 
-    def __init__(self, model: Lobe, loss: Loss, *, out: Path | None = None, **settings: Any) -> None:
-        self.model, self.loss, self.out, self.settings = model, loss, out, settings
+    def __init__(
+        self, model: Lobe, loss: Loss | Callable[..., Tensor], *, out: Path | None = None, **settings: Any
+    ) -> None:
+        self.model, self.loss, self.out, self.settings = model, as_loss(loss), out, settings
         self.done: dict[str, dict[str, Any]] = {}
         if out is not None and (out / "fits.json").exists():
             for record in read_fits(out / "fits.json"):
@@ -62,9 +66,12 @@ class Batches:
     def _check(self, record: dict[str, Any]) -> None:
         model, lobes = model_name(self.model)
         wanted = {"model": model, "lobes": lobes, "loss": self.loss.registered_name, **self.settings}
-        wanted["scene"] = self.loss.scene or None
+        wanted["scene"] = self.loss.scene_summary or None
         if record.get("samples") is None:  # every pair: as asked for, or because there were no more
             wanted["samples"] = None
+        record = {**record, "loss": LOSSES.canonical(record.get("loss", ""))}
+        if "strategy" in wanted:
+            wanted["strategy"] = strategy_name(wanted["strategy"])
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):
             if key in wanted and record.get(key) != wanted[key]:
                 raise DataError(

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.files import write_text
-from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import Lambert, Lobe, model_name, model_of, number, parameters, read_fits, write_fits
+from torchbrdf.losses import LOSSES
+from torchbrdf.solvers import Status
 
 
 @dataclass
@@ -90,7 +91,7 @@ class FitResult:
         return cls(
             names=[record["material"] for record in records],
             model=model_of(records),
-            loss=first["loss"],
+            loss=LOSSES.canonical(first["loss"]),
             strategy=first["strategy"],
             diffuse=first["diffuse"],
             error=torch.tensor([number(record["error"]) for record in records], dtype=torch.float64),

@@ -4,12 +4,12 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.losses.base import LOSSES, LeastSquares, Reduction, cosine, safe_power
+from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine, safe_power
 from torchbrdf.pairs import Pairs
 
 
 @LOSSES.register("compressed")
-class CompressedLoss(LeastSquares):
+class CompressedLoss(Loss):
     """sqrt(sum(((M cos_i)^p - (A cos_i)^p)^2) / n) with the exponent p, 1/3 by default. Shapes as `Loss`.
 
     Negative values count as 0. A power below 1 has an infinite slope at 0, so that x^p is (x + eps)^p - eps^p:
@@ -34,7 +34,7 @@ class CompressedLoss(LeastSquares):
         x = (values * cosine(pairs)).clamp_min(0)
         return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """p (M cos_i)^(p - 1) cos_i, 0 for values of 0 or less."""
         cos_i = cosine(pairs)
         x = (values * cos_i).clamp_min(0)

@@ -11,8 +11,8 @@ from torchbrdf.psychophysics import Scales
 from torchbrdf.report.labels import loss_label, model_label
 from torchbrdf.study import MEASURED, Plan
 
-CLAIMED = "cuberoot"
-OVER = ("rms", "cosine")
+CLAIMED = "cube_root"
+OVER = ("rms", "cosine_rms")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from torchbrdf.report.inline import png, template
 from torchbrdf.report.labels import Cell, loss_label
 
 TITLE = "Which BRDF metric agrees with people?"
-RIVALS = ("cuberoot", "compressed")
+RIVALS = ("cube_root", "compressed")
 THEIRS = "lagunas_"
 _THEIRS = {
     "lagunas_rms": "Lagunas' RMS",

@@ -8,7 +8,7 @@ import numpy as np
 
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import ObservedLoss
+from torchbrdf.losses import ImageLoss
 from torchbrdf.report import numbers
 from torchbrdf.report.figures import bars_figure, grid_figure
 from torchbrdf.report.gallery import BRIGHTEST, Gallery
@@ -27,7 +27,7 @@ def write_images_report(gallery: Gallery, scenes: Mapping[str, str], used: str, 
     """
     study, folder = gallery.study, gallery.study.folder.path
     training, unseen = scenes
-    rendered = [name for name, loss in study.losses.items() if isinstance(loss, ObservedLoss)]
+    rendered = [name for name, loss in study.losses.items() if isinstance(loss, ImageLoss)]
     analytic = [name for name in study.losses if name not in rendered]
     figure = folder / "figures" / "losses.png"
     means = {scene: {x: _values(gallery.seen(scene), x) for x in study.losses} for scene in scenes}

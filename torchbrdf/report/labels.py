@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
+from torchbrdf.losses import LOSSES
+
+LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "cube_root": "cube root"}
 
 DIFFERENCE_LABELS = {
     "psnr": "PSNR",
@@ -29,6 +31,7 @@ def loss_label(name: str) -> str:
     """A metric's name for people."""
     if name.startswith("rendered_"):
         return f"rendered {difference_label(name.removeprefix('rendered_'))}"
+    name = LOSSES.canonical(name)
     return LOSS_LABELS.get(name, name.replace("_", " "))
 
 

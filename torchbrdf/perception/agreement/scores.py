@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.losses import Loss, ObservedLoss
+from torchbrdf.losses import ImageLoss, Loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.pairs import Pairs
@@ -111,7 +111,7 @@ class Seen:
     pairs: Pairs | None
 
 
-def gather(subjects: Subjects, pairs: Pairs, through: ObservedLoss | None = None) -> Seen:
+def gather(subjects: Subjects, pairs: Pairs, through: ImageLoss | None = None) -> Seen:
     """The values of all that people were asked about on some pairs, `(N,)` or `(1, N)`, once for all losses.
 
     through: keep not the values but what this loss observes of them; `pairs` are then those of its scene.
@@ -137,7 +137,7 @@ def distances(
 ) -> Tensor:
     """loss(prediction[first], target[second], pairs), `(P,)` float64, for P places in `(K, n, 3)` each; in batches.
 
-    pairs: those of the values, or None, where what is compared is what an ObservedLoss observes.
+    pairs: those of the values, or None, where what is compared is what an ImageLoss observes.
     """
     if loss.reduction != "none":
         raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
@@ -147,9 +147,9 @@ def distances(
         for k in range(0, len(first), step):
             one, other = prediction[first[k : k + step]], target[second[k : k + step]]
             if pairs is None:
-                if not isinstance(loss, ObservedLoss):
+                if not isinstance(loss, ImageLoss):
                     raise UsageError(f"{type(loss).__name__}: compares values on pairs, but no pairs were given")
-                found[k : k + step] = loss.figure(loss.value(one, other))
+                found[k : k + step] = loss.finalize(loss.compare(one, other))
             else:
                 found[k : k + step] = loss(one, other, pairs)
     return found

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.losses.base import Loss
-from torchbrdf.losses.learned import ROWS, named
+from torchbrdf.losses.learned import ROWS, pack_weights
 from torchbrdf.perception.agreement.scores import Seen, distances
 from torchbrdf.perception.agreement.statistics import Comparisons, interval, resample
 from torchbrdf.perception.learning.training_set import Asked, Lesson
@@ -141,7 +141,7 @@ def best_iteration(courses: list[Course]) -> int:
 def finished(lesson: Lesson, weights: Tensor) -> dict[str, Any]:
     """Weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
     mean = lesson.distances(weights)[_usual(lesson)].mean()
-    return named(weights / mean.square())
+    return pack_weights(weights / mean.square())
 
 
 def formulas(lesson: Lesson, seen: Seen, losses: Mapping[str, Loss]) -> dict[str, Tensor]:
