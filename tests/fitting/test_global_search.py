@@ -8,68 +8,64 @@ import sys
 
 import pytest
 import torch
-from helpers.known_models import Made, assert_within_bounds, measured_from, some_pairs
+from helpers.known_models import COLORED, SHAPES, Made, assert_within_bounds, measured_from, some_pairs, two_lobes
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.fitting import Batches, Status, fit, score, stratified
+from torchbrdf.fitting import Batches, GlobalSearch, Status, fit, score, stratified
 from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters, take
 from torchbrdf.fitting.scoring import material_batches
 from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model
-from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
+from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import each, each_apart
 
-KINDS = ("ward", "cook_torrance", "ashikhmin_shirley")
-SHAPE = {"ward": ("roughness", 0.03, 0.3), "cook_torrance": ("roughness", 0.05, 0.4),
-         "ashikhmin_shirley": ("exponent", 800.0, 12.0)}  # fmt: skip
+LOSS_NAMES = list(LOSSES)
+# Every lobe with some loss, every loss with some lobe.
+COMBINED = [(lobe, LOSS_NAMES[k % len(LOSS_NAMES)]) for k, lobe in enumerate(COLORED)]
+COMBINED += [("ward", name) for name in LOSS_NAMES if name not in dict(COMBINED).values()]
 
 
-def two_lobes(name, materials=1):
-    """A sharp and a broad lobe of different colours, somewhat different in each material."""
-    model = make_model(name, 2, torch.float64).batched(materials)
-    key, *shapes = SHAPE[name]
-    step = torch.linspace(1, 1.3, materials, dtype=torch.float64)[:, None]
-    model.parts()[0].albedo.data[:] = torch.tensor([0.2, 0.15, 0.1])
-    for part, shape, color in zip(model.parts()[1:], shapes, ([0.3, 0.25, 0.2], [0.2, 0.3, 0.4]), strict=True):
-        getattr(part, key).data = shape * step
-        part.specular.data[:] = torch.tensor(color, dtype=torch.float64)
-        if name != "ward":
-            part.f0.data[:] = 0.3
-    return model
-
-
-@pytest.mark.parametrize("loss", [RMSLoss(), CosineRMSLoss(), CompressedLoss(), LogLoss(), CubeRootLoss()])
-@pytest.mark.parametrize("name", KINDS)
-def test_it_finds_what_a_model_was_made_from(name, loss):
-    model = two_lobes(name, 2)
+@pytest.mark.parametrize(("name", "loss_name"), COMBINED)
+def test_it_finds_what_a_model_was_made_from(name, loss_name):
+    model, loss = two_lobes(name, 2), LOSSES[loss_name]()
     measured = Measured(Made(model, some_pairs()), dtype=torch.float64)
     result = fit(make_model(name, 2), measured, loss, diffuse="fit", samples=None)
     black = loss.error(torch.zeros_like(measured.values), measured.values, measured.pairs)
     assert (result.error < 0.01 * black).all()
     assert result.status == [Status.CONVERGED] * 2
-    assert [stage.name for stage in result.history] == ["7 starts, 2395 samples", "best 3, 2395 samples"]
+    starts, best = (stage.name for stage in result.history)
+    assert starts.startswith("7 starts, ") and best.startswith("best 3, ")
 
 
-@pytest.mark.parametrize("loss", [RMSLoss(), CosineRMSLoss(), CubeRootLoss()])
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    ("name", "loss"),
+    [
+        ("ward", RMSLoss()),
+        ("ward", CosineRMSLoss()),
+        ("cook_torrance", CosineRMSLoss()),
+        ("abc", RMSLoss()),
+        pytest.param("ashikhmin_shirley", CubeRootLoss(), marks=pytest.mark.slow),
+        pytest.param("ward", CubeRootLoss(), marks=pytest.mark.slow),
+    ],
+)
 def test_it_is_never_worse_than_the_staged_procedure(name, loss):
     """On materials that the model cannot be: those of another one, with noise."""
-    other = two_lobes(KINDS[(KINDS.index(name) + 1) % 3], 4)
+    other = two_lobes("cook_torrance" if name == "ward" else "ward", 4)
     measured = Measured(Made(other, some_pairs()), dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
     measured.source.values *= (1 + 0.1 * torch.randn(measured.values.shape, generator=generator)).clamp_min(0.1)
     staged, best = (fit(make_model(name, 2), measured, loss, strategy=s, samples=1500) for s in ("staged", "global"))
     assert (best.error <= staged.error * 1.0005).all()
-    assert [stage.name for stage in best.history][-1] == "all 2395 samples"
+    assert "all " in best.history[-1].name
     assert_within_bounds(best.model)
 
 
 @pytest.mark.parametrize("lobes", [1, 2, 3])
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", SHAPES)
 def test_starts_are_near_the_truth(name, lobes):
     """The best start, without any descent, explains most of a material; each start has its own shapes."""
     pairs = some_pairs(1500)
@@ -79,7 +75,7 @@ def test_starts_are_near_the_truth(name, lobes):
     objective = make_objective(model, Problem(pairs, values), CosineRMSLoss())
     start = get_parameters(model) | {"lobes.0.albedo": truth.parts()[0].albedo.detach()}
     found = starts_from_dictionary(model, objective, start, False, 4)
-    shapes = torch.cat([found[f"lobes.{k}.{SHAPE[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
+    shapes = torch.cat([found[f"lobes.{k}.{SHAPES[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
     for material in range(2):
         assert len(torch.unique(shapes[:, material], dim=0)) == 4
     best = Parametrization(model, []).predict(take(found, slice(2)), pairs)  # the best start of each
@@ -89,9 +85,6 @@ def test_starts_are_near_the_truth(name, lobes):
     for one in free_parameters(model, range(lobes + 1)):
         value = found[one.name]
         assert value.shape[0] == 8 and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
-
-
-COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
 
 
 @pytest.mark.parametrize("name", COLORED)
@@ -136,6 +129,17 @@ def test_starts_are_exact_where_a_shape_is_on_the_grid(name):
         torch.testing.assert_close(found[f"lobes.1.{key}"], expected, rtol=1e-3, atol=0)
 
 
+def test_options_of_the_search():
+    """Fewer starts on fewer samples: said in the stages, and in the record, as another strategy than the registered."""
+    quick = GlobalSearch(starts=2, kept=1, coarse_samples=500)
+    result = fit(make_model("ward", 1), measured_from(two_lobes("ward")), RMSLoss(), strategy=quick, samples=None)
+    assert [stage.name for stage in result.history] == ["3 starts, 500 samples", "best 1, 2395 samples"]
+    assert result.starts == 3 and result.strategy.startswith("GlobalSearch(starts=2, shapes=16")
+    measured = measured_from(two_lobes("ward"), some_pairs(300))
+    same = fit(make_model("ward", 1), measured, RMSLoss(), strategy=GlobalSearch(), samples=None)
+    assert same.strategy == "global"
+
+
 def test_a_model_without_a_diffuse_lobe():
     truth = Sum(Ward(specular=0.3, roughness=0.04), Ward(specular=0.2, roughness=0.3)).double()
     for diffuse in ("fit", "45:0"):
@@ -165,6 +169,7 @@ def test_materials_with_pairs_of_their_own():
     assert (result.error < 1e-3 * measured.values.square().mean((1, 2)).sqrt()).all()
 
 
+@pytest.mark.slow
 def test_a_model_that_needs_a_graph_gets_a_joint_polish():
     truth = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=0.2)).double()
     start = Sum(Lambert(), DistributionBased())
@@ -298,6 +303,7 @@ def test_a_worker_that_dies_is_said(two_threads):
         list(each_apart(lambda k: os._exit(3), [0, 1, 2]))
 
 
+@pytest.mark.slow
 def test_processes_do_not_wait_for_locks_of_threads_that_are_gone():
     """Products in threads, then in forks: MKL's allocator made this hang within a few rounds."""
     code = """if True:

@@ -5,6 +5,7 @@ import itertools
 import pytest
 import torch
 from helpers.directions import hemisphere
+from helpers.known_models import COLORED
 
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective import GaussNewtonObjective, make_objective
@@ -22,7 +23,6 @@ from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum, make_model
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Loss, Problem, RMSLoss
 from torchbrdf.pairs import Pairs
 
-COLORED = [name for name, lobe in LOBES.items() if lobe.color() is not None and lobe is not Lambert]
 KINDS = ("all", "scalar", "colors")
 # Every lobe with every loss, and each of both with everything else: kinds of parameters, shared pairs, weights.
 COMBINED = [

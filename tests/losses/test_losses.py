@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import Ward
-from torchbrdf.losses import LOSSES, CompressedLoss, Loss
+from torchbrdf.losses import LOSSES, CompressedLoss, Loss, functional
 from torchbrdf.losses.base import weighted_mean
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -363,6 +363,28 @@ def test_copies(name: str) -> None:
         assert torch.equal(same(p, t, pairs), expected) and repr(same) == repr(loss)
 
 
+@every_loss
+def test_the_functional_form_is_the_module(name: str) -> None:
+    """With weights, every reduction, and the options of each."""
+    p, t, pairs = some_values(2, 30, seed=3), some_values(2, 30, seed=4), some_pairs(2, 30)
+    weight = torch.rand(30, 1, generator=torch.Generator().manual_seed(5)).double()
+    function, own = getattr(functional, name), () if name == "rms" else (pairs,)
+    for reduction in ("none", "mean", "sum"):
+        expected = LOSSES[name](reduction=reduction)(p, t, pairs, weight)
+        assert torch.equal(function(p, t, *own, weight, reduction=reduction), expected)
+    assert torch.equal(function(p, t, *own), LOSSES[name]()(p, t, pairs))
+    for key, value in {"exponent": 0.5, "eps": 1e-3}.items():
+        if key in inspect.signature(LOSSES[name]).parameters:
+            expected = LOSSES[name](**{key: value})(p, t, pairs)
+            assert torch.equal(function(p, t, *own, **{key: value}), expected) and expected != LOSSES[name]()(
+                p, t, pairs
+            )
+
+
+def test_every_loss_has_a_functional_form() -> None:
+    assert sorted(functional.__all__) == sorted(LOSSES)
+
+
 def test_what_is_printed() -> None:
     """The arguments that matter, as a call of the constructor."""
     assert repr(LOSSES["rms"]()) == "RMSLoss()"
@@ -427,7 +449,7 @@ def test_problem(name: str) -> None:
 
 
 @every_loss
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.slow)])
 def test_in_a_training_loop(name: str, dtype: torch.dtype) -> None:
     """Adam finds the parameters that a Ward lobe's values were made with."""
     wi = hemisphere(400, seed=1)

@@ -100,7 +100,7 @@ def fit(
     began = time.perf_counter()
     run = STRATEGIES[strategy] if isinstance(strategy, str) else strategy
     loss = as_loss(loss)
-    if not (loss.has_closed_derivatives or loss.objective == "image"):
+    if loss.objective == "autograd" or not loss.has_closed_derivatives:
         warnings.warn(
             f"{loss.registered_name}: no derivatives of its own: fits differentiate it by autograd, which is slower",
             SlowFitWarning,

@@ -49,6 +49,11 @@ class ImageLoss(Loss):
         raise NotImplementedError(f"{type(self).__name__}: has no quadratic majorizer")
 
     @property
+    def has_closed_derivatives(self) -> bool:
+        """What is observed is linear; what is left for autograd is small."""
+        return True
+
+    @property
     def has_majorizer(self) -> bool:
         """Whether there is a parabola."""
         return type(self).quadratic_majorizer is not ImageLoss.quadratic_majorizer

@@ -5,7 +5,6 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective.pointwise import EncodedProblem, PointwiseObjective, Sums
 from torchbrdf.losses import BinAssignment, BinnedLoss
 
@@ -57,11 +56,12 @@ class BinnedObjective(PointwiseObjective):
     """The square of a binned loss's error; bins divide for themselves, so that the norm is 1."""
 
     sums = BinnedSums
+    loss: BinnedLoss
 
     @cached_property
     def assignment(self) -> BinAssignment:
         """Which bins the pairs are in."""
-        return self._binned.assignment(self.problem.pairs, self.problem.weight, self.problem.target)
+        return self.loss.assignment(self.problem.pairs, self.problem.weight, self.problem.target)
 
     @cached_property
     def given_weight(self) -> Tensor | None:
@@ -71,7 +71,7 @@ class BinnedObjective(PointwiseObjective):
     @cached_property
     def mean_factor(self) -> Tensor:
         """`BinnedLoss.mean_factor` of three channels."""
-        return self._binned.mean_factor(3).to(self.assignment.mass)
+        return self.loss.mean_factor(3).to(self.assignment.mass)
 
     @cached_property
     def encoded(self) -> EncodedProblem:
@@ -92,10 +92,3 @@ class BinnedObjective(PointwiseObjective):
     def norm(self) -> Tensor:
         """1."""
         return torch.ones_like(self.encoded.total)
-
-    @property
-    def _binned(self) -> BinnedLoss:
-        loss = self.loss
-        if not isinstance(loss, BinnedLoss):
-            raise UsageError(f"{type(loss).__name__}.objective: binned needs a BinnedLoss")
-        return loss
