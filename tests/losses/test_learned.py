@@ -214,6 +214,7 @@ def test_a_fit_finds_what_values_were_made_with() -> None:
         torch.testing.assert_close(one, other.expand_as(one), rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_fit_is_better_under_it_than_another_losses_fit() -> None:
     measured = load(standins()).batch([0, 1]).within(80.0)
     loss = LearnedLoss()

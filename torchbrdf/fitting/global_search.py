@@ -65,36 +65,36 @@ class GlobalSearch:
             task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
         )
         tried = {name: torch.cat([found[name], staged[name]]) for name in staged}
-        rivals = _Candidates(everyone.repeat(self.starts + 1), tried, free, self.same)
-        errors = rivals.descend(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
-        outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *rivals.best(errors))
-        rivals.prune(errors, self.kept, 1.0)
+        candidates = _Candidates(everyone.repeat(self.starts + 1), tried, free, self.same)
+        errors = candidates.descend(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
+        outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *candidates.best(errors))
+        candidates.prune(errors, self.kept, 1.0)
         last = smooth.ftol if task.full is None else 1e-6
         widths = smooth.loss.smoothing_widths
-        errors = rivals.descend(smooth, max_iterations=task.max_iterations, ftol=last, widths=widths[-2:])
-        outcome.add(f"best {self.kept}, {smooth.describe_size()}", *rivals.best(errors))
-        outcome.near_optimal = rivals.others_within(errors, self.near_optimal)
+        errors = candidates.descend(smooth, max_iterations=task.max_iterations, ftol=last, widths=widths[-2:])
+        outcome.add(f"best {self.kept}, {smooth.describe_size()}", *candidates.best(errors))
+        outcome.near_optimal = candidates.others_within(errors, self.near_optimal)
         if smooth is not objective:
             step = lbfgs_fit(objective, outcome.values, free, max_iterations=task.max_iterations)
             outcome.add("the loss itself", *step)
         if isinstance(task.full, GaussNewtonObjective):
-            self._on_all_samples(task, task.full, outcome, rivals, errors)
+            self._on_all_samples(task, task.full, outcome, candidates, errors)
         return outcome
 
     def _on_all_samples(
-        self, task: Task, full: GaussNewtonObjective, outcome: Outcome, rivals: "_Candidates", errors: Solution
+        self, task: Task, full: GaussNewtonObjective, outcome: Outcome, candidates: "_Candidates", errors: Solution
     ) -> None:
         """The minima that are close to the best, on ever more samples."""
         near, count = self.near_optimal, len(full.problem.pairs)
         last = full.loss.smoothing_widths[-1:]
         if count // self.share >= 2 * len(task.objective.problem.pairs):
-            rivals.prune(errors, self.kept, near)
+            candidates.prune(errors, self.kept, near)
             between, near = full.subsample(count // self.share, 1), near / 5
-            errors = rivals.descend(between, max_iterations=50, ftol=1e-7, widths=last)
-            outcome.add(between.describe_size(), *rivals.best(errors))
-        rivals.prune(errors, self.kept, near)
-        errors = rivals.descend(full, max_iterations=50, ftol=1e-6, widths=last)
-        outcome.add(f"all {full.describe_size()}", *rivals.best(errors))
+            errors = candidates.descend(between, max_iterations=50, ftol=1e-7, widths=last)
+            outcome.add(between.describe_size(), *candidates.best(errors))
+        candidates.prune(errors, self.kept, near)
+        errors = candidates.descend(full, max_iterations=50, ftol=1e-6, widths=last)
+        outcome.add(f"all {full.describe_size()}", *candidates.best(errors))
 
 
 STRATEGIES.register("global")(GlobalSearch())

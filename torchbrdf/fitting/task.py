@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective import FitObjective, GaussNewtonObjective
 from torchbrdf.fitting.parameters import (
     FreeParameter,
@@ -89,12 +90,15 @@ def levenberg_marquardt_fit(
     widths: over which a loss with a cusp is rounded, one after the other, in units of the mean target; the loss's own
     if None. The errors of the solution are those of the loss itself.
     """
+    widths = objective.loss.smoothing_widths if widths is None else widths
+    if not widths:
+        raise UsageError(f"{type(objective.loss).__name__}.smoothing_widths: expected at least one, or (None,)")
     materials = objective.material_indices if materials is None else materials
     scale = objective.zero_prediction_error[materials]
     x = parametrization.encode(values).to(scale.device)
     lower, upper = (bound.to(scale.device) for bound in parametrization.limits())
     iterations = torch.zeros(len(x), dtype=torch.long)
-    for share in objective.loss.smoothing_widths if widths is None else widths:
+    for share in widths:
         width = None if share is None else share * objective.target_scale[materials]
         bound = objective.bind(parametrization, values, materials, width)
         found = minimize_levenberg_marquardt(
