@@ -1,5 +1,6 @@
 """Derivatives of losses that give none themselves, by autograd; and whether a loss works on one value at a time."""
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import torch
@@ -33,7 +34,8 @@ def penalty_with_derivatives(loss: "Loss", difference: Tensor, width: Tensor | N
         (slope,) = torch.autograd.grad(penalty.sum(), point, create_graph=True)
         second = torch.zeros_like(slope)
         if slope.requires_grad:
-            (second,) = torch.autograd.grad(slope.sum(), point)
+            (found,) = torch.autograd.grad(slope.sum(), point, allow_unused=True)
+            second = second if found is None else found
     penalty, slope = penalty.detach(), slope.detach()
     tiny = torch.finfo(difference.dtype).tiny ** 0.5
     touching = slope / torch.where(difference.abs() < tiny, tiny, difference)
@@ -42,9 +44,10 @@ def penalty_with_derivatives(loss: "Loss", difference: Tensor, width: Tensor | N
 
 def elementwise(loss: "Loss") -> bool:
     """Whether `encode` and `penalty` keep the shape, and change where one value does and nowhere else."""
-    wi = torch.tensor([[0.6, 0.0, 0.8], [0.0, 0.28, 0.96], [-0.36, 0.48, 0.8]], dtype=torch.float64)
+    like = next((x for x in chain(loss.parameters(), loss.buffers()) if x.is_floating_point()), torch.zeros(1))
+    wi = like.new_tensor([[0.6, 0.0, 0.8], [0.0, 0.28, 0.96], [-0.36, 0.48, 0.8]])
     pairs = Pairs.from_directions(wi, wi.flip(0))
-    values = torch.tensor([[0.1, 0.2, 0.3], [1.1, 1.2, 1.3], [2.1, 2.2, 2.3]], dtype=torch.float64)
+    values = like.new_tensor([[0.1, 0.2, 0.3], [1.1, 1.2, 1.3], [2.1, 2.2, 2.3]])
     changed = values.clone()
     changed[1, 1] = 3.0
     others = values == changed

@@ -17,7 +17,7 @@ class AutogradObjective(FitObjective):
 
     @cached_property
     def zero_prediction_error(self) -> Tensor:
-        """The value of 0."""
+        """The value of a prediction that is 0 everywhere."""
         problem = self.problem
         with torch.no_grad():
             found = self.value(torch.zeros_like(problem.target), problem)
@@ -26,11 +26,11 @@ class AutogradObjective(FitObjective):
     def bind(
         self, parametrization: Parametrization, values: ParameterDict, materials: Tensor | None = None
     ) -> "BoundAutograd":
-        """Without curvature."""
+        """R problems for a solver, without curvature."""
         return BoundAutograd(self, parametrization, values, self.material_indices if materials is None else materials)
 
     def value(self, prediction: Tensor, problem: Problem) -> Tensor:
-        """Of values `(m, N, 3)` on some materials of the problem, `(m,)`, float64."""
+        """The value of predictions `(m, N, 3)` on some materials of the problem, `(m,)`, float64."""
         error = self.loss.error(prediction, problem.target, problem.pairs, problem.weight).double()
         return error.square() if self.loss.is_root else error
 

@@ -119,7 +119,7 @@ class GaussNewtonObjective(FitObjective):
         materials: Tensor | None = None,
         width: Tensor | None = None,
     ) -> "BoundObjective":
-        """With curvature; width: over which a cusp is rounded there, `(R,)`."""
+        """R problems for a solver, with curvature; width: over which a cusp is rounded there, `(R,)`."""
         materials = self.material_indices if materials is None else materials
         scale = self.zero_prediction_error[materials]
         return BoundObjective(self, parametrization, values, materials, scale, width)
@@ -151,11 +151,11 @@ class BoundObjective:
         self._basis = Basis(self.parametrization)
 
     def value_and_gradient(self, x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Of the loss itself, not rounded."""
+        """Value and gradient of the loss itself, not rounded."""
         return self._evaluate(x, rows, None, False)[:2]
 
     def quadratic_model(self, x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """With cusps rounded over the width."""
+        """Value, gradient and matrix, with cusps rounded over the width."""
         return self._evaluate(x, rows, None if self.width is None else self.width[rows], True)
 
     def _evaluate(

@@ -26,7 +26,7 @@ class BinnedSums(Sums):
         width: Tensor | None,
         curvature: bool,
     ) -> None:
-        """As `Sums.add`."""
+        """Add some pairs, as `Sums.add` does, and their share in each bin."""
         super().add(samples, difference, rate, basis, weight, width, curvature)
         membership = self._own(self.objective.assignment.membership[:, samples])
         if self.objective.given_weight is not None:
@@ -37,7 +37,7 @@ class BinnedSums(Sums):
         self.mean_slopes = self.mean_slopes + (moved @ membership).double()
 
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """As `Sums.totals`."""
+        """Value, gradient and matrix, as `Sums.totals` gives them, with those of the bins' residuals."""
         value, gradient, matrix = super().totals(jacobian)
         mass, factor = self._own(self.objective.assignment.mass), self.objective.mean_factor
         slopes = (torch.as_tensor(self.mean_slopes) / mass).unflatten(1, (3, -1))
@@ -82,7 +82,7 @@ class BinnedObjective(PointwiseObjective):
 
     @cached_property
     def zero_prediction_error(self) -> Tensor:
-        """The squared error of 0."""
+        """The squared error of a prediction that is 0 everywhere."""
         problem = self.problem
         zero = torch.zeros_like(problem.target)
         found = self.loss.error(zero, problem.target, problem.pairs, problem.weight).square()
@@ -90,5 +90,5 @@ class BinnedObjective(PointwiseObjective):
 
     @property
     def norm(self) -> Tensor:
-        """1."""
+        """Bins divide for themselves."""
         return torch.ones_like(self.encoded.total)

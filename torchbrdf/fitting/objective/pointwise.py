@@ -116,7 +116,7 @@ class PointwiseObjective(GaussNewtonObjective):
 
     @cached_property
     def zero_prediction_error(self) -> Tensor:
-        """The mean penalty of 0."""
+        """The mean penalty of a prediction that is 0 everywhere."""
         return torch.where(self.encoded.zero_penalty > 0, self.encoded.zero_penalty, 1)
 
     @property
@@ -139,7 +139,7 @@ class PointwiseObjective(GaussNewtonObjective):
         return responses[None]
 
     def curvature_at(self, prediction: Tensor) -> Tensor:
-        """Of the penalty, through the encoding."""
+        """The curvature of the penalty, through the encoding."""
         encoded, dtype = self.encoded, self.problem.target.dtype
         code, rate = channels.encode_with_derivative(self.loss, prediction.to(dtype), self.problem.pairs)
         share = self.loss.smoothing_widths[0]
@@ -157,7 +157,7 @@ class PointwiseObjective(GaussNewtonObjective):
         width: Tensor | None = None,
         curvature: bool = False,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """In one pass over the pairs."""
+        """Value, gradient and matrix, in one pass over the pairs."""
         dtype, problems = self.problem.target.dtype, len(materials)
         rows = None if self.is_every_material(materials) else materials
         albedos = basis.albedos(values, dtype)
