@@ -7,43 +7,39 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from torchbrdf.fitting.variables import Variable, decode, encode, evaluate, limits, values_of
+from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import LOSSES
 
 MODELS = ("ward", "cook_torrance", "ashikhmin_shirley")
-METRICS = ("rms", "cosine", "cuberoot")
+METRICS = ("rms", "cosine_rms", "cube_root")
 
 
 def lobes_of(name, measured, count=2):
     """A model, its parameters with the measured diffuse albedo, and what a fit moves."""
     model = make_model(name, count).batched(len(measured))
-    values = values_of(model)
-    values[0, "albedo"] = measured.diffuse_45_0()
-    variables = [
-        Variable(k, b, b.size) for k in range(1, count + 1) for b in model.components()[k].parameter_specs.values()
-    ]
-    return model, values, variables
+    values = get_parameters(model) | {"lobes.0.albedo": measured.diffuse_45_0()}
+    return model, values, Parametrization(model, free_parameters(model, range(1, count + 1)))
 
 
-def by_graph(model, values, variables, parts, part, loss):
+def by_graph(values, free, part, loss):
     """The squared error of one material and its exact gradient, as a user gets them from torch's autograd."""
     black = loss.error(torch.zeros_like(part.values), part.values, part.pairs).item() ** 2
 
     def objective(x):
         with torch.enable_grad():
             point = torch.tensor(x[None], requires_grad=True)
-            here = values | decode(variables, point, part.values.dtype)
-            error = loss.error(evaluate(model, here, part.pairs, parts), part.values, part.pairs).square() / black
+            here = values | free.decode(point, part.values.dtype)
+            error = loss.error(free.predict(here, part.pairs), part.values, part.pairs).square() / black
             (gradient,) = torch.autograd.grad(error.sum(), point)
         return error.item(), gradient[0].numpy()
 
     return objective
 
 
-def scipy_fit(objective, x, variables, **options):
+def scipy_fit(objective, x, free, **options):
     """scipy's L-BFGS-B from x, within the bounds: the point and the evaluations."""
-    low, high = (bound.numpy() for bound in limits(variables))
+    low, high = (bound.numpy() for bound in free.limits())
     options = {"maxiter": 1000, "maxfun": 2000, **options}
     found = minimize(
         objective, x, jac=True, bounds=list(zip(low, high, strict=True)), method="L-BFGS-B", options=options
@@ -51,18 +47,15 @@ def scipy_fit(objective, x, variables, **options):
     return found.x, found.nfev
 
 
-def scipy_staged(model, values, variables, part, loss):
+def scipy_staged(model, values, part, loss):
     """The paper's stages by scipy on the pairs of one material: values, and how many evaluations they took."""
-    steps = []
-    for count in (1, 2):
-        scalars = [v if not v.bounded.linear else Variable(v.part, v.bounded, 1) for v in variables if v.part <= count]
-        steps.append((scalars, list(range(count + 1))))
-    steps.append(([v for v in variables if v.bounded.linear], [0, 1, 2]))
+    scalars = [free_parameters(model, range(1, count + 1), scalar_albedo=True) for count in (1, 2)]
+    albedos = [one for one in free_parameters(model, (1, 2)) if one.spec.linear]
     evaluations = 0
-    for moved, parts in steps:
-        objective = by_graph(model, values, moved, parts, part, loss)
-        x, calls = scipy_fit(objective, encode(moved, values)[0].numpy(), moved)
-        values = values | decode(moved, torch.from_numpy(np.ascontiguousarray(x))[None], part.values.dtype)
+    for moved, components in ((scalars[0], (0, 1)), (scalars[1], None), (albedos, None)):
+        free = Parametrization(model, moved, components)
+        x, calls = scipy_fit(by_graph(values, free, part, loss), free.encode(values)[0].numpy(), free)
+        values = values | free.decode(torch.from_numpy(np.ascontiguousarray(x))[None], part.values.dtype)
         evaluations += calls
     return values, evaluations
 

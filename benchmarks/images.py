@@ -17,7 +17,7 @@ from torchbrdf.measured import load_all
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob, render, sphere
 from torchbrdf.render.raster.raster import rasterize
 
-ANALYTIC = ("rms", "cosine", "cuberoot", "compressed", "log")
+ANALYTIC = ("rms", "cosine_rms", "cube_root", "compressed", "log")
 
 
 def step(loss, problem):

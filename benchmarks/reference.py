@@ -18,9 +18,7 @@ from common import MODELS, lobes_of, losses, scipy_fit
 
 from torchbrdf.files import write_text
 from torchbrdf.fitting import fit, stratified
-from torchbrdf.fitting.data import Data
-from torchbrdf.fitting.normal import SquaredError
-from torchbrdf.fitting.variables import limits
+from torchbrdf.fitting.objective import make_objective
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import Problem
 from torchbrdf.measured import load
@@ -32,26 +30,26 @@ STARTS, FINISHED, SAMPLES, SEED = 64, 3, 20_000, 0
 def best_of(measured, name, loss, k):
     """The least error of one material."""
     part = measured.batch([k])
-    model, values, variables = lobes_of(name, part)
-    low, high = (bound.numpy() for bound in limits(variables))
+    model, values, free = lobes_of(name, part)
+    low, high = (bound.numpy() for bound in free.limits())
 
-    def objective(problem):
-        data = Data(problem, loss)
-        error = SquaredError(model, data, torch.tensor([0]), values, variables, [0, 1, 2], data.black)
+    def value_and_gradient(problem):
+        objective = make_objective(model, problem, loss)
+        bound = objective.bind(free, values)
 
         def call(x):
-            value, gradient, _ = error(torch.from_numpy(x)[None], torch.tensor([0]), curvature=False)
+            value, gradient = bound.value_and_gradient(torch.from_numpy(x)[None], torch.tensor([0]))
             return value.item(), gradient[0].numpy()
 
-        return call, data.black.sqrt().item()
+        return call, objective.zero_prediction_error.sqrt().item()
 
     few = part.batch(samples=stratified(len(part.pairs), SAMPLES, SEED))
-    call, _ = objective(Problem(few.pairs, few.values))
+    call, _ = value_and_gradient(Problem(few.pairs, few.values))
     points = low + (high - low) * np.random.default_rng(SEED).random((STARTS, len(low)))
-    ends = [scipy_fit(call, x, variables, maxfun=400)[0] for x in points]
+    ends = [scipy_fit(call, x, free, maxfun=400)[0] for x in points]
     ends.sort(key=lambda x: call(x)[0])
-    call, black = objective(Problem(part.pairs, part.values))
-    return min(call(scipy_fit(call, x, variables, maxfun=300)[0])[0] for x in ends[:FINISHED]) ** 0.5 * black
+    call, black = value_and_gradient(Problem(part.pairs, part.values))
+    return min(call(scipy_fit(call, x, free, maxfun=300)[0])[0] for x in ends[:FINISHED]) ** 0.5 * black
 
 
 def main(folder, path="reference.json"):

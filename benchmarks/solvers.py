@@ -16,34 +16,31 @@ import torch
 from common import MODELS, Timer, by_graph, lobes_of, losses, scipy_fit, scipy_staged
 
 from torchbrdf.fitting import fit, stratified
-from torchbrdf.fitting.data import Data
-from torchbrdf.fitting.levenberg import minimize_squares
-from torchbrdf.fitting.normal import SquaredError
-from torchbrdf.fitting.variables import evaluate, limits
+from torchbrdf.fitting.objective import make_objective
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import load
+from torchbrdf.solvers import minimize_levenberg_marquardt
 
 
 def same_pairs(measured, name, loss, samples, count=2):
     """CPU seconds and errors of scipy and of ours, from the same random starts."""
     few = measured.batch(samples=stratified(len(measured.pairs), samples, 0))
     few.values  # noqa: B018 (read before the clock starts)
-    model, values, variables = lobes_of(name, measured, count)
-    parts, (low, high) = list(range(count + 1)), limits(variables)
+    model, values, free = lobes_of(name, measured, count)
+    low, high = free.limits()
     generator = torch.Generator().manual_seed(0)
     start = low + (high - low) * torch.rand(len(measured), len(low), generator=generator, dtype=torch.float64)
     theirs, ours = [], []
     with Timer() as scipy_timer:
         for k in range(len(measured)):
             own = {key: value[k : k + 1] for key, value in values.items()}
-            objective = by_graph(model, own, variables, parts, few.batch([k]), loss)
-            x, _ = scipy_fit(objective, start[k].numpy(), variables, ftol=1e-9, gtol=1e-9)
+            objective = by_graph(own, free, few.batch([k]), loss)
+            x, _ = scipy_fit(objective, start[k].numpy(), free, ftol=1e-9, gtol=1e-9)
             theirs.append(objective(x)[0])
     with Timer() as timer:
-        data = Data(Problem(few.pairs, few.values), loss)
-        error = SquaredError(model, data, torch.arange(len(measured)), values, variables, parts, data.black)
-        found = minimize_squares(error, start, low, high, tolerance=1e-9, negligible=1.0, max_iterations=300)
+        bound = make_objective(model, Problem(few.pairs, few.values), loss).bind(free, values)
+        found = minimize_levenberg_marquardt(bound, start, low, high, ftol=1e-9, fmin=1.0, max_iterations=300)
         ours = found.value.tolist()
     ratios = sorted((a / b) ** 0.5 for a, b in zip(ours, theirs, strict=True))
     print(
@@ -57,15 +54,15 @@ def same_pairs(measured, name, loss, samples, count=2):
 
 def full_tables(measured, name, metric, loss):
     """CPU seconds and errors on every pair."""
-    model, values, variables = lobes_of(name, measured)
+    model, values, free = lobes_of(name, measured)
     evaluations, errors = 0, []
     with Timer() as scipy_timer:
         for k in range(len(measured)):
             part = measured.batch([k])
             own = {key: value[k : k + 1] for key, value in values.items()}
-            found, calls = scipy_staged(model, own, variables, part, loss)
+            found, calls = scipy_staged(model, own, part, loss)
             evaluations += calls
-            errors.append(loss.error(evaluate(model, found, part.pairs, [0, 1, 2]), part.values, part.pairs).item())
+            errors.append(loss.error(free.predict(found, part.pairs), part.values, part.pairs).item())
     with Timer() as timer:
         result = fit(make_model(name, 2), measured, loss)
     ratio = [a / b for a, b in zip(result.error.tolist(), errors, strict=True)]

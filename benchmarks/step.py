@@ -9,9 +9,7 @@ from functools import partial
 import torch
 from common import MODELS, lobes_of, seconds
 
-from torchbrdf.fitting.data import Data
-from torchbrdf.fitting.normal import SquaredError
-from torchbrdf.fitting.variables import encode
+from torchbrdf.fitting.objective import make_objective
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import load
 
@@ -26,12 +24,10 @@ def main(path):
     for count in (1, 2):
         for name in MODELS:
             for loss in (RMSLoss(), CosineRMSLoss(), CompressedLoss(), LogLoss(), CubeRootLoss()):
-                model, values, variables = lobes_of(name, measured, count)
-                data = Data(Problem(pairs, target), loss)
-                one = torch.tensor([0])
-                parts = list(range(count + 1))
-                error = SquaredError(model, data, one, values, variables, parts, data.black, 0.01 * data.spread)
-                step = seconds(partial(error, encode(variables, values), one))
+                model, values, free = lobes_of(name, measured, count)
+                objective, one = make_objective(model, Problem(pairs, target), loss), torch.tensor([0])
+                bound = objective.bind(free, values, one, 0.01 * objective.target_scale)
+                step = seconds(partial(bound.quadratic_model, free.encode(values), one))
                 print(
                     f"{name:18s} {count} lobes {type(loss).__name__:15s}{1e3 * step:8.2f} ms{step / floor:7.1f} floors"
                 )

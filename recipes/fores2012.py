@@ -55,7 +55,7 @@ class Fores2012(FitGridRecipe):
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
         groups, bad = load_materials(self.materials, folder, self.quick)
-        losses = {name: LOSSES[name]() for name in self.losses}
+        losses = {LOSSES.canonical(name): LOSSES[name]() for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
         grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)
         grid.fit()

@@ -21,7 +21,7 @@ class ImageVsAnalytic(FitGridRecipe):
 
     name = "image_vs_analytic"
 
-    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot", "compressed", "log")
+    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log")
     rendered: tuple[str, ...] = field(
         default=("log_hdr", "delta_e76"), metadata={"help": "image differences that are losses, too"}
     )
@@ -63,7 +63,7 @@ class ImageVsAnalytic(FitGridRecipe):
         turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
         scenes = {TRAINING: Scene(mesh, Camera(), light, size=size), UNSEEN: Scene(*other, size=size)}
-        losses: dict[str, Loss] = {name: LOSSES[name]() for name in self.losses}
+        losses: dict[str, Loss] = {LOSSES.canonical(name): LOSSES[name]() for name in self.losses}
         grid = self.make_grid(folder, groups, losses, models=self.models[:1] if self.quick else self.models)
         pictures = Pictures(grid, scenes, self.differences, maps=True)
         pictures.draw_materials()

@@ -50,7 +50,11 @@ class TrainMetric(HumanAnswersRecipe):
         if self.quick:
             samples, repeats, iterations, replicates = 500, 2, 15, min(replicates, 100)
         pairs = uniform_pairs(samples, seed=self.seed).to(dtype=torch.float32)
-        losses = {name: kind(reduction="none") for name, kind in LOSSES.items() if kind.subsets and name != "learned"}
+        losses = {
+            name: kind(reduction="none")
+            for name, kind in LOSSES.items()
+            if kind.supports_subsampling and name != "learned"
+        }
         sources = []
         if self.human or (self.quick and not self.study):
             subjects = self.read_benchmark_data() if self.human else synthetic_benchmark(seed=self.seed)

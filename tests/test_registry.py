@@ -61,6 +61,23 @@ def test_a_name_is_registered_once() -> None:
         things.register("one")(2)
 
 
+def test_an_alias_finds_a_thing_but_is_not_listed() -> None:
+    things: Registry[int] = Registry("thing", "torchbrdf.assets")
+    things.register("one")(1)
+    things.alias("uno", "one")
+    assert things["uno"] == 1 and "uno" in things and list(things) == ["one"]
+    assert (things.canonical("uno"), things.canonical("one"), things.canonical("two")) == ("one", "one", "two")
+
+
+def test_losses_are_found_by_the_names_that_they_had() -> None:
+    for old, new in (
+        ("cosine", "cosine_rms"),
+        ("cuberoot", "cube_root"),
+        ("solid_angle_cosine", "solid_angle_cosine_rms"),
+    ):
+        assert LOSSES[old] is LOSSES[new] and old not in list(LOSSES)
+
+
 def test_a_thing_is_returned_as_it_was() -> None:
     thing = object()
     assert Registry("thing", "nowhere").register("one")(thing) is thing
@@ -150,4 +167,4 @@ def test_a_broken_thing_says_why_when_asked_for(offered: Registry[str]) -> None:
 
 def test_what_the_package_brings() -> None:
     assert {"lambert", "ward", "cook_torrance", "ashikhmin_shirley", "distribution_based"} <= set(LOBES)
-    assert {"rms", "cosine", "cuberoot", "compressed", "log", "solid_angle_cosine"} <= set(LOSSES)
+    assert {"rms", "cosine_rms", "cube_root", "compressed", "log", "solid_angle_cosine_rms"} <= set(LOSSES)

@@ -109,6 +109,19 @@ class Registry(Mapping[str, T], Generic[T]):
         """
         self._aliases[old] = new
 
+    def canonical(self, name: str) -> str:
+        """The name that a thing is listed under, in the place of a former one.
+
+        Args:
+            name: any name, also of nothing that is registered.
+
+        Example:
+            >>> from torchbrdf.images import DIFFERENCES
+            >>> DIFFERENCES.canonical("delta_e")
+            'delta_e76'
+        """
+        return name if name in self._own() else self._aliases.get(name, name)
+
     def _own(self) -> dict[str, T]:
         """What the package's modules register, and what has been loaded of other packages."""
         if not self._complete:
@@ -172,7 +185,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return self._things
 
     def __getitem__(self, name: str) -> T:
-        name = self._aliases.get(name, name) if name not in self._own() else name
+        name = self.canonical(name)
         if name in self._things:
             return self._things[name]
         if name in self._offered():

@@ -17,7 +17,7 @@ def test_fit_prints_and_writes(paint, tmp_path, capsys):
     assert "paint" in printed.out and "roughness" in printed.out
     assert printed.err == ""  # no progress bar where there is no terminal
     (record,) = json.loads((out / "fits.json").read_text())
-    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cuberoot"
+    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cube_root"
     assert (out / "fits.csv").read_text().count("\n") == 2
 
 

@@ -29,13 +29,13 @@ def display(path):
 def test_a_measurement_and_its_fits_share_a_tone_map_and_no_file(merl_file, tmp_path, capsys):
     """The fit has the name of the measurement, and another format's group of its own."""
     fits, out = tmp_path / "fits.json", tmp_path / "out"
-    write_fits(fits, [fit("made-up", "rms"), fit("made-up", "cuberoot"), fit("made-up", "rms")])
+    write_fits(fits, [fit("made-up", "rms"), fit("made-up", "cube_root"), fit("made-up", "rms")])
     assert main(["render", str(merl_file), str(fits), *SMALL, "--out", str(out)]) == 0
     printed = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines())
     assert printed == {
         str(out / "made-up.png"): "made-up (measured)",
         str(out / "made-up-ward-1-lobe-rms-global.png"): "made-up: Ward, 1 lobe, RMS, global",
-        str(out / "made-up-ward-1-lobe-cuberoot-global.png"): "made-up: Ward, 1 lobe, cube root, global",
+        str(out / "made-up-ward-1-lobe-cube_root-global.png"): "made-up: Ward, 1 lobe, cube root, global",
         str(out / "made-up-ward-1-lobe-rms-global-2.png"): "made-up: Ward, 1 lobe, RMS, global #2",
         str(out / "sheet.png"): "all of them, and where fits differ from their materials",
     }

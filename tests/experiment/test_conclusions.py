@@ -23,7 +23,7 @@ def test_the_papers_claim_is_said_as_it_comes_out():
     overall, by_gloss, *_ = check_claims(scaled.scales, falls)
     assert "Of 5 materials and models it is better for 5, worse for 0" in overall and "holds everywhere" in overall
     assert ": supported by these answers" in by_gloss
-    found = {one.material: one.value for one in benefits(scaled.scales, falls, "cuberoot", "rms")}
+    found = {one.material: one.value for one in benefits(scaled.scales, falls, "cube_root", "rms")}
     expected = spearmanr(angles, [found[f"m{k}"] for k in range(5)], alternative="less")
     assert f"is {expected.statistic:.2f} (one-sided p = {expected.pvalue:.2g})" in by_gloss
 
@@ -41,10 +41,10 @@ def test_answers_about_something_else_claim_nothing():
 
 
 def test_what_observers_cannot_tell_from_the_measured_material_is_confused_with_it():
-    plan = make_plan({"nickel": {"ward-cuberoot": 0.0, "cook-cuberoot": 9.0, MEASURED: 0.0}})
-    assert confused(scaled_of(plan).scales) == {"nickel": {"ward-cuberoot"}}
-    better = make_plan({"nickel": {"ward-cuberoot": 0.0, "cook-cuberoot": 9.0, MEASURED: 5.0}})
-    assert "ward-cuberoot" in confused(scaled_of(better).scales)["nickel"]
+    plan = make_plan({"nickel": {"ward-cube_root": 0.0, "cook-cube_root": 9.0, MEASURED: 0.0}})
+    assert confused(scaled_of(plan).scales) == {"nickel": {"ward-cube_root"}}
+    better = make_plan({"nickel": {"ward-cube_root": 0.0, "cook-cube_root": 9.0, MEASURED: 5.0}})
+    assert "ward-cube_root" in confused(scaled_of(better).scales)["nickel"]
 
 
 def test_scales_find_what_simulated_observers_see():
@@ -52,6 +52,6 @@ def test_scales_find_what_simulated_observers_see():
     scaled = scaled_of(plan, observers=2000)
     unit = math.sqrt(2) * 2.0
     known = {(record["material"], record["stimulus"]): record["scale"] for record in scaled.scales.records()}
-    for k, name in enumerate(("ward-rms", "ward-cosine", "ward-cuberoot")):
+    for k, name in enumerate(("ward-rms", "ward-cosine_rms", "ward-cube_root")):
         assert known["nickel", name] == pytest.approx((k - 1) / unit, abs=0.05)
         assert known["nylon", name] == pytest.approx(0, abs=0.05)

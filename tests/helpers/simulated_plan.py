@@ -18,5 +18,5 @@ def make_plan(differences, orders=None):
     return Plan(tuple(materials), (Experiment("1", "all", names),))
 
 
-def wards(rms, cosine, cuberoot):
-    return {"ward-rms": rms, "ward-cosine": cosine, "ward-cuberoot": cuberoot}
+def wards(rms, cosine, cube_root):
+    return {"ward-rms": rms, "ward-cosine_rms": cosine, "ward-cube_root": cube_root}

@@ -48,7 +48,7 @@ def test_every_loss_has_a_score_with_an_interval(out):
 def test_answers_drawn_around_cube_roots_are_told_best_by_cube_roots(out):
     found = {(r["loss"], r["statistic"]): r["agreement"] for r in json.loads((out / "scores.json").read_text())}
     for statistic in ("majority", "votes", "pairs", "apart", "across"):
-        assert found["cuberoot", statistic] > found["rms", statistic] + 0.05
+        assert found["cube_root", statistic] > found["rms", statistic] + 0.05
 
 
 def test_the_page_says_in_large_letters_that_nobody_was_asked(out):

@@ -295,7 +295,7 @@ def studied(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("study")
     measured = load(standins())
     records = []
-    for name in ("rms", "cuberoot"):
+    for name in ("rms", "cube_root"):
         result = fit(make_model("ward", 1), measured, LOSSES[name](), samples=500, strategy="staged")
         records += result.records()
     write_fits(folder / "fits.json", records)
@@ -305,9 +305,9 @@ def studied(tmp_path_factory) -> Path:
         rows.writerow(["observer", "material", "left", "right", "chosen"])
         for observer in range(3):
             for k, material in enumerate(measured.names):
-                rows.writerow([f"o{observer}", material, "ward-rms", "ward-cuberoot", 1 + (k + observer > 1)])
+                rows.writerow([f"o{observer}", material, "ward-rms", "ward-cube_root", 1 + (k + observer > 1)])
                 rows.writerow([f"o{observer}", material, "ward-rms", "measured", 2])
-                rows.writerow([f"o{observer}", material, "measured", "ward-cuberoot-staged", 1])
+                rows.writerow([f"o{observer}", material, "measured", "ward-cube_root-staged", 1])
     return folder
 
 

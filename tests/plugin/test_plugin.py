@@ -78,7 +78,6 @@ def test_a_lobe_and_a_format_fit_and_are_drawn(installed: dict[str, str], paint:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="fit does not yet take a loss that has no derivatives of its own")
 def test_a_loss_fits(installed: dict[str, str], paint: Path, tmp_path: Path) -> None:
     options = ["--model", "myggx", "--lobes", 1, "--loss", "myloss", "--out", tmp_path]
     done = torchbrdf(installed, "fit", paint, *options)

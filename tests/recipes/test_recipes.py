@@ -155,7 +155,7 @@ def test_a_study_has_a_record_for_every_fit(study):
     keys = {(r["material"], r["model"], r["loss"], r["lobes"], r["strategy"]) for r in records}
     assert len(keys) == len(records) == 2 * 1 * 3 * (2 + 1)
     for record in records:
-        assert set(record["errors"]) == {"rms", "cosine", "cuberoot"}
+        assert set(record["errors"]) == {"rms", "cosine_rms", "cube_root"}
         assert record["errors"][record["loss"]] == pytest.approx(record["error"], rel=1e-6)
         beaten = any(
             other["errors"][record["loss"]] < record["error"] * (1 - 1e-4)
@@ -188,7 +188,7 @@ def test_a_report_shows_what_simulated_observers_say_and_that_they_are_no_people
 def test_the_plan_of_a_study_is_served_as_it_is(study):
     plan = Plan.load(study)
     first, second = plan.experiments
-    assert first.stimuli == ("ward-rms", "ward-cosine", "ward-cuberoot") and second.stimuli[-1] == MEASURED
+    assert first.stimuli == ("ward-rms", "ward-cosine_rms", "ward-cube_root") and second.stimuli[-1] == MEASURED
     assert "stand-in" in plan.mark
     records = json.loads((study / "fits.json").read_text())
     for material in plan.materials:

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.fitting import Status, fit
-from torchbrdf.fitting.observed import Observations, ObservedError
-from torchbrdf.fitting.solve import Task
-from torchbrdf.fitting.variables import encode, values_of
+from torchbrdf.fitting.objective import make_objective
+from torchbrdf.fitting.objective.image import ImageObjective
+from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters
 from torchbrdf.images import DIFFERENCES, PixelDifference, ToneMap
 from torchbrdf.lobes import LOBES, CookTorrance, DistributionBased, Lambert, Lobe, Sum, Ward, make_model
 from torchbrdf.measured import Measured
@@ -96,24 +96,24 @@ def test_gradients_reach_every_parameter(large: Scene, name: str, kind: str) -> 
 
 
 @pytest.mark.parametrize("name", PIXELWISE)
-def test_the_parabola_touches_the_loss(small: Scene, name: str) -> None:
+def test_the_majorizer_touches_the_loss(small: Scene, name: str) -> None:
     loss = RenderedLoss(small, name)
     first, target = (loss.observe(values(small, mixture(x), Lambert(), dtype=torch.float64)) for x in (0.2, 0.1))
     first = (first * 1.2).requires_grad_()
-    value, slope, curve = loss.parabola(first, target)
-    expected = loss.value(first, target)
+    value, slope, curve = loss.quadratic_majorizer(first, target)
+    expected = loss.compare(first, target)
     torch.testing.assert_close(value, expected)
     torch.testing.assert_close(slope, torch.autograd.grad(expected.sum(), first)[0])
     assert torch.linalg.eigvalsh(curve).min() > -1e-12
     if loss.difference.power == 1:  # type: ignore[attr-defined]
         step = 0.05 * torch.randn(first.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * first
         above = value + ((slope + 0.5 * torch.einsum("mpcd,mpd->mpc", curve, step)) * step).sum((1, 2))
-        assert (loss.value(first + step, target) <= above * (1 + 1e-3)).all()
+        assert (loss.compare(first + step, target) <= above * (1 + 1e-3)).all()
 
 
 @pytest.mark.parametrize("name", ["delta_e76", "log_hdr", "ssim"])
 @pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
-def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, kind: str) -> None:
+def test_derivatives_by_responses_are_those_of_the_graph(small: Scene, name: str, kind: str) -> None:
     loss = RenderedLoss(small, name)
     model = make_model(kind, 2, dtype=torch.float64).batched(2)
     with torch.no_grad():
@@ -121,22 +121,29 @@ def test_derivatives_by_columns_are_those_of_the_graph(small: Scene, name: str, 
             part.roughness.fill_(roughness)
     measured = Measured(Painted([mixture(0.2), mixture(0.3)])).to(dtype=torch.float64)
     problem = loss.problem(measured)
-    task = Task(model, problem, loss)
-    variables = task.moved(True)
-    held, scale = values_of(model), torch.tensor([2.0, 3.0], dtype=torch.float64)
-    error = ObservedError(model, Observations(problem, loss), torch.tensor([0, 1]), held, variables, task.parts, scale)
-    x = encode(variables, held)
-    value, gradient, matrix = error(x, torch.tensor([1, 0]), curvature=name != "ssim")
+    objective = make_objective(model, problem, loss)
+    assert isinstance(objective, ImageObjective)
+    held, free, rows = (
+        get_parameters(model),
+        Parametrization(model, free_parameters(model, [0, 1, 2])),
+        torch.tensor([1, 0]),
+    )
+    bound, scale = objective.bind(free, held), objective.zero_prediction_error
+    x = free.encode(held)
+    value, gradient = bound.value_and_gradient(x, rows)
     x = x[[1, 0]]
     torch.testing.assert_close(
-        loss.figure(value * scale[[1, 0]]), loss.error(model(problem.pairs), problem.target)[[1, 0]]
+        loss.finalize(value * scale[[1, 0]]), loss.error(model(problem.pairs), problem.target)[[1, 0]]
     )
     for p in range(x.shape[1]):
         step = torch.zeros_like(x)
         step[:, p] = 1e-5
-        up, down = (error(x + sign * step, torch.tensor([1, 0]), curvature=False)[0] for sign in (1, -1))
+        up, down = (bound.value_and_gradient(x + sign * step, rows)[0] for sign in (1, -1))
         torch.testing.assert_close(gradient[:, p], (up - down) / 2e-5, rtol=1e-4, atol=1e-8)
-    if name != "ssim":
+    if loss.has_majorizer:
+        *both, matrix = bound.quadratic_model(x, rows)
+        for one, other in zip(both, (value, gradient), strict=True):
+            torch.testing.assert_close(one, other)
         assert torch.linalg.eigvalsh(matrix).min() > -1e-10 * matrix.abs().max()
 
 

@@ -41,9 +41,9 @@ def folder(tmp_path_factory):
     write_fits(
         folder / "fits.json",
         [
-            record("paint", DULL, "ward", loss="cuberoot", strategy="global"),
+            record("paint", DULL, "ward", loss="cube_root", strategy="global"),
             record("paint", PAINT, "cook_torrance", loss="rms", strategy="staged"),
-            record("stone", DULL, "ward", loss="cuberoot", strategy="global"),
+            record("stone", DULL, "ward", loss="cube_root", strategy="global"),
         ],
     )
     write_exr(

@@ -24,7 +24,7 @@ from torchbrdf.study import (
 )
 from torchbrdf.study.design import mirrored
 
-NINE = tuple(f"{model}-{loss}" for model in ("ward", "cook", "ash") for loss in ("rms", "cosine", "cuberoot"))
+NINE = tuple(f"{model}-{loss}" for model in ("ward", "cook", "ash") for loss in ("rms", "cosine_rms", "cube_root"))
 
 
 def made(stimuli=NINE, materials=10, seed=0, **more):

@@ -12,10 +12,10 @@ from torchbrdf.study import simulate, simulated
 
 
 def test_simulated_observers_choose_with_thurstones_probability():
-    plan = make_plan({"nickel": {"ward-rms": 5.0, "ward-cuberoot": 3.0, "ward-log": 3.5}})
+    plan = make_plan({"nickel": {"ward-rms": 5.0, "ward-cube_root": 3.0, "ward-log": 3.5}})
     answers = simulate(plan, plan.experiment("1"), 3000, noise=2.0)
     assert len(answers) == 9000
-    for better, worse, gap in (("ward-cuberoot", "ward-rms", 2.0), ("ward-cuberoot", "ward-log", 0.5)):
+    for better, worse, gap in (("ward-cube_root", "ward-rms", 2.0), ("ward-cube_root", "ward-log", 0.5)):
         own = [a.chosen == better for a in answers if {a.left, a.right} == {better, worse}]
         expected = norm.cdf(gap / (math.sqrt(2) * 2.0))
         assert abs(sum(own) / 3000 - expected) < 4 * math.sqrt(expected * (1 - expected) / 3000)
@@ -43,5 +43,5 @@ def test_simulations_that_cannot_be_are_refused(more, said):
 
 def test_a_difference_that_is_not_known_cannot_be_seen():
     plan = make_plan({"nickel": wards(5.0, None, 3.0)})
-    with pytest.raises(UsageError, match="ward-cosine of nickel: its difference is not known"):
+    with pytest.raises(UsageError, match="ward-cosine_rms of nickel: its difference is not known"):
         simulate(plan, plan.experiment("1"), 1)

@@ -15,8 +15,8 @@ RENDERED = "rendered"
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
 
-  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cuberoot
-  torchbrdf fit MERL/ --model cook_torrance --loss cosine --out fits/
+  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cube_root
+  torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
   torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76 --diffuse fit
 
 The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
     parser.add_argument("--lobes", type=int, default=2, help="specular lobes beside the diffuse one (default 2)")
     parser.add_argument(
-        "--loss", default="cuberoot", help="rms, cosine, cuberoot (default), compressed, log, ..., rendered"
+        "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"
     )
     parser.add_argument(
         "--difference",
@@ -77,8 +77,8 @@ def command(options: Options) -> int:
     )
     groups, complete = load_files(options.files)
     records = batches.run(groups, progress_bar("fits"))
-    if batches.loss.scene:
-        print(f"pictures of {batches.loss.scene}")
+    if batches.loss.scene_summary:
+        print(f"pictures of {batches.loss.scene_summary}")
     print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
     for record in records:
         rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]

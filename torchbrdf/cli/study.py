@@ -36,7 +36,7 @@ ADD = """\
 Add an experiment to the study.json of a run, with any of its stimuli and pairs.
 
   torchbrdf study add runs/fores2012 ward --stimuli 'ward-*' --repeats 5
-  torchbrdf study add runs/fores2012 few --pairs ward-rms:ward-cuberoot,ward-rms:measured --catch 4
+  torchbrdf study add runs/fores2012 few --pairs ward-rms:ward-cube_root,ward-rms:measured --catch 4
   torchbrdf study add runs/fores2012 many --stimuli '*' --compare 4
 """
 

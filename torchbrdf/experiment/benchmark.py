@@ -48,7 +48,7 @@ class Benchmark:
     def score_values(self, names: Iterable[str], pairs: Pairs) -> None:
         """Distances of registered losses between values at some pairs."""
         losses: dict[str, Loss] = {}
-        for name in names:
+        for name in map(LOSSES.canonical, names):
             kind = LOSSES[name]
             try:
                 losses[name] = kind(reduction="none")

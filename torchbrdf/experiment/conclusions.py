@@ -11,8 +11,8 @@ from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.psychophysics import Scales
 from torchbrdf.study import MEASURED, Plan
 
-CLAIMED_LOSS = "cuberoot"
-OTHER_LOSSES = ("rms", "cosine")
+CLAIMED_LOSS = "cube_root"
+OTHER_LOSSES = ("rms", "cosine_rms")
 
 
 @dataclass(frozen=True)

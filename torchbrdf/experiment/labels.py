@@ -1,7 +1,9 @@
 """Names of models, losses and differences for people, and what has to be said of results."""
 
+from torchbrdf.losses import LOSSES
+
 STAND_IN = "stand-in materials, not measurements"
-LOSS_LABELS = {"rms": "RMS", "cosine": "cosine RMS", "cuberoot": "cube root"}
+LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "cube_root": "cube root"}
 DIFFERENCE_LABELS = {
     "psnr": "PSNR",
     "ssim": "SSIM",
@@ -18,6 +20,7 @@ def loss_label(name: str) -> str:
     """A loss's name for people."""
     if name.startswith("rendered_"):
         return f"rendered {difference_label(name.removeprefix('rendered_'))}"
+    name = LOSSES.canonical(name)
     return LOSS_LABELS.get(name, name.replace("_", " "))
 
 

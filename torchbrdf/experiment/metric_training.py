@@ -18,7 +18,7 @@ from torchbrdf.experiment.settings import STANDINS
 from torchbrdf.files import replacing
 from torchbrdf.lobes import FitRecord, model_of, read_fits
 from torchbrdf.losses import Loss
-from torchbrdf.losses.learned import form
+from torchbrdf.losses.learned import schema
 from torchbrdf.measured import load_all, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import BenchmarkData, EvaluatedBrdfs, evaluate_brdfs
@@ -203,7 +203,7 @@ def train_metric(
         },
     }
     return TrainedMetric(
-        form() | {"weights": normalized_weights(lesson, weights), "provenance": provenance},
+        schema() | {"weights": normalized_weights(lesson, weights), "provenance": provenance},
         materials,
         {name: own for name, own in methods.items() if name != "majority"},
         torch.stack([courses[k].curve for k in plain]),

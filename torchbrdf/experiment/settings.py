@@ -22,7 +22,7 @@ class FitGridRecipe(Recipe):
 
     materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
-    losses: tuple[str, ...] = ("rms", "cosine", "cuberoot")
+    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root")
     lobes: int = field(default=2, metadata={"help": "specular lobes"})
     strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
     diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit: every loss chooses its own"})

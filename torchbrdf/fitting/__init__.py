@@ -1,27 +1,24 @@
-"""Fitting models to measured materials: strategies, the batched solver, scores, results."""
+"""Fitting models to measured materials: objectives, strategies, scores, results."""
 
 from torchbrdf.fitting.batches import Batches
-from torchbrdf.fitting.data import stratified
-from torchbrdf.fitting.fit import fit
-from torchbrdf.fitting.lbfgs import Solution, Status, minimize
-from torchbrdf.fitting.levenberg import minimize_squares
-from torchbrdf.fitting.quadratic import minimize_quadratic
+from torchbrdf.fitting.fit import SlowFitWarning, fit
+from torchbrdf.fitting.global_search import GlobalSearch
 from torchbrdf.fitting.result import FitResult, write_fits_csv
-from torchbrdf.fitting.score import cross_score, local_minima, score
+from torchbrdf.fitting.sampling import stratified
+from torchbrdf.fitting.scoring import cross_score, local_minima, score
 from torchbrdf.fitting.strategy import STRATEGIES
+from torchbrdf.solvers import Status
 
 __all__ = [
     "STRATEGIES",
     "Batches",
     "FitResult",
-    "Solution",
+    "GlobalSearch",
+    "SlowFitWarning",
     "Status",
     "cross_score",
     "fit",
     "local_minima",
-    "minimize",
-    "minimize_quadratic",
-    "minimize_squares",
     "score",
     "stratified",
     "write_fits_csv",

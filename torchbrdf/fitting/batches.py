@@ -1,16 +1,19 @@
 """A whole database, batch after batch, each written as it is done."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.result import write_fits_csv
+from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.lobes import FitRecord, Lobe, model_name, read_fits, write_fits
-from torchbrdf.losses import Loss
+from torchbrdf.losses import LOSSES, Loss, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, part_of, quiet
 
@@ -42,8 +45,10 @@ class Batches:
         ['nickel', 'nylon']
     """
 
-    def __init__(self, model: Lobe, loss: Loss, *, out: Path | None = None, **settings: Any) -> None:
-        self.model, self.loss, self.out, self.settings = model, loss, out, settings
+    def __init__(
+        self, model: Lobe, loss: Loss | Callable[..., Tensor], *, out: Path | None = None, **settings: Any
+    ) -> None:
+        self.model, self.loss, self.out, self.settings = model, as_loss(loss), out, settings
         self.done: dict[str, FitRecord] = {}
         if out is not None and (out / "fits.json").exists():
             for record in read_fits(out / "fits.json"):
@@ -85,9 +90,12 @@ class Batches:
     def _check(self, record: FitRecord) -> None:
         model, lobes = model_name(self.model)
         wanted = {"model": model, "lobes": lobes, "loss": self.loss.registered_name, **self.settings}
-        wanted["scene"] = self.loss.scene
+        wanted["scene"] = self.loss.scene_summary
         if record.samples is None:  # every pair: as asked for, or because there were no more
             wanted["samples"] = None
+        record = replace(record, loss=LOSSES.canonical(record.loss))
+        if "strategy" in wanted:
+            wanted["strategy"] = strategy_name(wanted["strategy"])
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):
             if key in wanted and getattr(record, key) != wanted[key]:
                 raise DataError(

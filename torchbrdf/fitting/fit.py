@@ -1,33 +1,52 @@
 """Fit a model to measured materials."""
 
 import time
+import warnings
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
-from torchbrdf.fitting.data import stratified
-from torchbrdf.fitting.lbfgs import Status
+from torchbrdf.fitting.objective import make_objective
+from torchbrdf.fitting.parameters import (
+    ParameterDict,
+    diffuse_components,
+    get_parameters,
+    named_specs,
+    take,
+    with_parameters,
+)
 from torchbrdf.fitting.result import FitResult
-from torchbrdf.fitting.score import errors, share_out
-from torchbrdf.fitting.solve import Task
-from torchbrdf.fitting.strategy import STRATEGIES, Outcome, joined
-from torchbrdf.fitting.variables import put_values, values_of
+from torchbrdf.fitting.sampling import stratified
+from torchbrdf.fitting.scoring import errors, parallel_map
+from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Strategy, joined, strategy_name
+from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
-from torchbrdf.losses import Loss, Problem
+from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
+from torchbrdf.solvers import Status
 
 DIFFUSE = ("45:0", "fit")
+
+
+class SlowFitWarning(UserWarning):
+    """A fit differentiates a loss by autograd, as it gives no derivatives itself: right, but slower.
+
+    Example:
+        >>> import warnings
+        >>> warnings.simplefilter("ignore", SlowFitWarning)
+    """
 
 
 def fit(
     model: Lobe,
     measured: Measured,
-    loss: Loss,
+    loss: Loss | Callable[..., Tensor],
     *,
-    strategy: str = "global",
+    strategy: str | Strategy = "global",
     diffuse: str = "45:0",
     max_theta: float = 80.0,
     samples: int | None = 20_000,
@@ -35,18 +54,43 @@ def fit(
     max_iterations: int = 300,
     progress: Progress = quiet,
 ) -> FitResult:
-    """Fit `model`, a sum of lobes with or without a diffuse one, to every material of `measured` under `loss`.
-
-    strategy: a registered one; "global" finds the best fit, "staged" is the paper's procedure. diffuse: "45:0" takes
-    the diffuse albedo from the measurement with the light at 45 degrees and the viewer at the normal, and holds it;
-    "fit" moves the model's own. max_theta: only pairs with both directions at most so many degrees from the normal
-    count. samples: the solver works on a stratified random subset of so many pairs, from `seed` (None: every pair),
-    and finishes on every valid pair; both errors are reported. The parameters that the model holds are where the fit
-    starts; (P,) for all materials or (M, P) for each. max_iterations: of the solver in each stage. progress: called
-    with the numbers of materials done and of all, as they are done.
+    """Fit a model to every material of `measured` under a loss.
 
     A material that cannot be fitted (no valid samples, fewer than parameters, a start outside its bounds, an error
     that is not finite) says so in `status`, with the reason in `reason`, and leaves the others be.
+
+    Args:
+        model: a sum of lobes with or without a diffuse one; the parameters that it holds, `(k,)` for all materials or
+            `(M, k)` for each, are where the fit starts. It is not changed.
+        measured: M materials.
+        loss: a `Loss`; or any module or function of (prediction, target), as `FunctionLoss` takes it. One without
+            derivatives of its own is differentiated by autograd, with a `SlowFitWarning`.
+        strategy: a registered one, or one with other options, `GlobalSearch(starts=12)`; "global" finds the best fit,
+            "staged" is the paper's procedure.
+        diffuse: "45:0" takes the diffuse albedo from the measurement with the light at 45 degrees and the viewer at the
+            normal, and holds it; "fit" moves the model's own.
+        max_theta: only pairs with both directions at most so many degrees from the normal count.
+        samples: the solver works on a stratified random subset of so many pairs (None: every pair), and finishes on
+            every valid pair; both errors are reported.
+        seed: of that subset.
+        max_iterations: of the solver in each stage.
+        progress: called with the number of materials done, as they are done.
+
+    Returns:
+        The fitted models, their errors, and how each fit ended.
+
+    Raises:
+        UsageError: for an option that does not exist, or without any material.
+        ShapeError: if all starts are outside their bounds, or the loss and the values do not fit together.
+
+    Example:
+        >>> from torchbrdf import fit, load
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import CosineRMSLoss
+        >>> from torchbrdf.measured import standins
+        >>> nickel = load(standins()).batch([6], torch.arange(0, 900_000, 300))
+        >>> fit(make_model("ward", lobes=1), nickel, CosineRMSLoss(), samples=None).names
+        ['nickel']
     """
     if diffuse not in DIFFUSE:
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE)}, found {diffuse!r}")
@@ -55,31 +99,44 @@ def fit(
     if not len(measured):
         raise UsageError("fit: expected at least one material, found none")
     began = time.perf_counter()
-    run = STRATEGIES[strategy]
+    run = STRATEGIES[strategy] if isinstance(strategy, str) else strategy
+    loss = as_loss(loss)
+    if loss.objective == "autograd" or not loss.has_closed_derivatives:
+        warnings.warn(
+            f"{loss.registered_name}: no derivatives of its own: fits differentiate it by autograd, which is slower",
+            SlowFitWarning,
+            stacklevel=2,
+        )
     measured = measured.within(max_theta)
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
     if diffuse == "45:0":
         _set_diffuse(model, measured)
-    subset = stratified(len(measured.pairs), samples, seed) if loss.subsets else None
-    packed = model.pack().clamp(*model.bounds)
-    moved = sum(one.size for part, one in model.named_specs() if diffuse == "fit" or not isinstance(part, Lambert))
+    subset = stratified(len(measured.pairs), samples, seed) if loss.supports_subsampling else None
+    specs = named_specs(model)
+    start = {name: value.clamp(specs[name].lower, specs[name].upper) for name, value in get_parameters(model).items()}
+    held = [] if diffuse == "fit" else diffuse_components(model)
+    moved = [part for k, part in enumerate(model.components()) if k not in held]
+    free = sum(spec.size for part in moved for spec in part.parameter_specs.values())
 
     def fit_some(rows: list[int]) -> _Fitted:
-        part = model.unpack(packed[rows])
+        values = take(start, rows)
+        part = with_parameters(model, values)
         whole = _without_idle_weight(loss.problem(measured.batch(rows)))
+        full = make_objective(part, whole, loss)
         if subset is None:
-            task = Task(part, whole, loss, max_iterations)
+            task = Task(part, full, None, max_iterations)
         else:
-            task = Task(part, whole.select(samples=subset.to(measured.device)), loss, max_iterations, whole)
-        outcome = run(task, values_of(part), diffuse == "fit")
-        put_values(part, outcome.values)
-        seen = errors([part], task.problem, [loss])[0, 0]
-        error = seen if subset is None else errors([part], whole, [loss])[0, 0]
-        return _Fitted(part.pack(), outcome, error, seen, _counts(whole))
+            some = whole.select(samples=subset.to(measured.device))
+            task = Task(part, make_objective(part, some, loss), full, max_iterations)
+        outcome = run(task, values, diffuse == "fit")
+        fitted = with_parameters(part, outcome.values)
+        seen = errors([fitted], task.objective.problem, [loss])[0, 0]
+        error = seen if subset is None else errors([fitted], whole, [loss])[0, 0]
+        return _Fitted(get_parameters(fitted), outcome, error, seen, _counts(whole))
 
     done: list[_Fitted] = []
-    for found in share_out(fit_some, measured):
+    for found in parallel_map(fit_some, measured):
         done.append(found)
         progress(sum(len(one.error) for one in done), len(measured))
     status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
@@ -91,27 +148,28 @@ def fit(
             status[k], reasons[k] = Status.NO_DATA, f"no valid sample within {max_theta:g} degrees"
         elif not error[k].isfinite():
             status[k], reasons[k] = Status.NOT_FINITE, f"the error is {error[k].item():g}"
-        elif count < moved:
-            status[k], reasons[k] = Status.TOO_FEW_SAMPLES, f"{count} valid values for {moved} parameters"
+        elif count < free:
+            status[k], reasons[k] = Status.TOO_FEW_SAMPLES, f"{count} valid values for {free} parameters"
         elif status[k] != Status.CONVERGED:
             reasons[k] = REASONS[status[k]]
+    found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
     return FitResult(
         names=measured.names,
-        model=model.unpack(torch.cat([found.packed for found in done])),
+        model=with_parameters(model, found_values),
         loss=loss.registered_name,
-        strategy=strategy,
+        strategy=strategy_name(strategy),
         diffuse=diffuse,
         error=error,
         subset_error=torch.cat([found.seen for found in done]),
         status=status,
         reason=[reasons.get(k, "") for k in range(len(status))],
         starts=done[0].outcome.starts,
-        ties=[tie for found in done for tie in found.outcome.ties or [0] * len(found.error)],
+        ties=[tie for found in done for tie in found.outcome.near_optimal or [0] * len(found.error)],
         seconds=time.perf_counter() - began,
         max_theta=max_theta,
         samples=None if subset is None else len(subset),
         seed=seed,
-        scene=loss.scene,
+        scene=loss.scene_summary,
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -124,7 +182,7 @@ REASONS = {
 
 
 class _Fitted(NamedTuple):
-    packed: Tensor
+    values: ParameterDict
     outcome: Outcome
     error: Tensor
     seen: Tensor
@@ -140,18 +198,17 @@ def _counts(problem: Problem) -> Tensor:
 
 def _check_start(model: Lobe) -> dict[int, str]:
     """Which materials start outside the bounds, and how; a ShapeError if all do."""
-    lower, upper = model.bounds
-    packed = model.pack()
-    outside = (packed < lower) | (packed > upper) | ~packed.isfinite()
-    names = [
-        f"{type(part).__name__}.{bounded.name}" for part, bounded in model.named_specs() for _ in range(bounded.size)
-    ]
     found: dict[int, str] = {}
-    for material, k in outside.nonzero().tolist():
-        expected = f"{lower[k].item():g} to {upper[k].item():g}"
-        text = f"start of {names[k]}: expected {expected}, found {packed[material, k].item():g}"
-        found.setdefault(material, text)
-    if found and len(found) == len(packed):
+    materials = 0
+    for part in model.components():
+        for name, spec in part.parameter_specs.items():
+            value = getattr(part, name).detach().flatten(1)
+            materials = len(value)
+            outside = (value < spec.lower) | (value > spec.upper) | ~value.isfinite()
+            for material, k in outside.nonzero().tolist():
+                expected = f"expected {spec.lower:g} to {spec.upper:g}, found {value[material, k].item():g}"
+                found.setdefault(material, f"start of {type(part).__name__}.{name}: {expected}")
+    if found and len(found) == materials:
         raise ShapeError(found[0])
     return found
 

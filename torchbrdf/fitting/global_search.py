@@ -5,122 +5,156 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.data import stratified
-from torchbrdf.fitting.lbfgs import Solution
-from torchbrdf.fitting.seeds import seeds
-from torchbrdf.fitting.solve import Task, descend, solve
-from torchbrdf.fitting.staged import stages
+from torchbrdf.fitting.initialization import starts_from_dictionary
+from torchbrdf.fitting.objective import GaussNewtonObjective
+from torchbrdf.fitting.parameters import ParameterDict, Parametrization, take
+from torchbrdf.fitting.staged import minimizer_of, stages
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
-from torchbrdf.fitting.variables import Values, Variable
-
-# Starts from the dictionary; the staged result is one more.
-SEEDS = 6
-# How many different minima go on from the first samples, and how many at most to all of them.
-KEPT = 3
-# One in so many of all samples is between the subset and all of them: steps there are cheap, and few are left to do.
-SHARE = 6
-# Errors that differ by less belong to the same minimum; minima within TIE of the best are worth another look.
-SAME, TIE = 1e-4, 0.01
+from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
+from torchbrdf.solvers import Solution
 
 
-@STRATEGIES.register("global")
-def global_search(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
+@dataclass(frozen=True)
+class GlobalSearch:
     """Find the best fit: starts from a dictionary of shapes, all parameters moved together, ever more samples.
 
-    The starts (see `seeds`) and the staged result go through Levenberg-Marquardt on a few thousand samples; the best
-    different minima on the whole subset; those that are within a hundredth of the best on all samples.
+    The starts (see `initialization`) and the staged result go through Levenberg-Marquardt on a few thousand samples;
+    the best different minima on the whole subset; those that are close to the best on all samples.
+
+    Args:
+        starts: from the dictionary; the staged result is one more.
+        shapes: of a lobe in the dictionary.
+        beam: combinations of lobes that are extended by one more, from the third on.
+        coarse_samples: that starts are tried on.
+        kept: how many different minima go on from there, and how many at most to all samples.
+        share: one in so many of all samples is between the subset and all of them, where steps are cheap, and few are
+            left to do.
+        same: errors that differ by less belong to the same minimum.
+        near_optimal: minima within so much of the best are worth another look.
+
+    Example:
+        >>> from torchbrdf.fitting import GlobalSearch
+        >>> GlobalSearch(starts=12).kept
+        3
     """
-    if not task.analytic:
-        return _joint(task, values, fit_diffuse)
-    parts, variables, everyone = task.parts, task.moved(fit_diffuse), task.everyone
-    outcome = Outcome(values, starts=SEEDS + 1)
-    few, curved = task.few, task.curved
-    rounding = few.loss.rounding
 
-    def quickly(start: Values, moved: list[Variable], present: list[int]) -> tuple[Values, Solution]:
-        return descend(few, everyone, start, moved, present, max_iterations=20, tolerance=1e-4, rounding=rounding[:1])
+    starts: int = 6
+    shapes: int = 16
+    beam: int = 8
+    coarse_samples: int = 4_000
+    kept: int = 3
+    share: int = 6
+    same: float = 1e-4
+    near_optimal: float = 0.01
 
-    *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
-    tried = _join(seeds(few, values, fit_diffuse, SEEDS), staged)
-    rivals = _Rivals(everyone.repeat(SEEDS + 1), tried)
-    found = rivals.move(few, variables, parts, max_iterations=30, tolerance=1e-5, rounding=rounding[:2])
-    outcome.add(f"{SEEDS + 1} starts, {few.extent}", *rivals.best(found))
-    rivals.keep(found, KEPT, 1.0)
-    last = curved.precision if task.whole is None else 1e-6
-    rounding = curved.loss.rounding
-    found = rivals.move(
-        curved, variables, parts, max_iterations=task.max_iterations, tolerance=last, rounding=rounding[-2:]
-    )
-    outcome.add(f"best {KEPT}, {curved.extent}", *rivals.best(found))
-    outcome.ties = rivals.ties(found)
-    if curved is not task:
-        outcome.add("the loss itself", *solve(task, outcome.values, variables, parts))
-    if task.whole is not None:
-        between = _between(task)
-        if between is not None:
-            rivals.keep(found, KEPT, TIE)
-            found = rivals.move(between, variables, parts, max_iterations=50, tolerance=1e-7, rounding=rounding[-1:])
-            outcome.add(f"{len(between.problem.pairs)} samples", *rivals.best(found))
-        rivals.keep(found, KEPT, TIE if between is None else TIE / 5)
-        found = rivals.move(task.finish, variables, parts, max_iterations=50, tolerance=1e-6, rounding=rounding[-1:])
-        outcome.add(f"all {len(task.whole.pairs)} samples", *rivals.best(found))
-    return outcome
+    def __call__(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
+        """Fit."""
+        objective = task.objective
+        if not isinstance(objective, GaussNewtonObjective):
+            return _by_gradient(task, values, fit_diffuse)
+        free, everyone = task.all_free(fit_diffuse), objective.material_indices
+        outcome = Outcome(values, starts=self.starts + 1)
+        coarse, smooth = objective.coarse(self.coarse_samples), objective.surrogate()
+        widths = coarse.loss.smoothing_widths
+
+        def quickly(start: ParameterDict, moved: Parametrization) -> tuple[ParameterDict, Solution]:
+            return levenberg_marquardt_fit(coarse, start, moved, max_iterations=20, ftol=1e-4, widths=widths[:1])
+
+        *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
+        found = starts_from_dictionary(
+            task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
+        )
+        tried = {name: torch.cat([found[name], staged[name]]) for name in staged}
+        candidates = _Candidates(everyone.repeat(self.starts + 1), tried, free, self.same)
+        errors = candidates.descend(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
+        outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *candidates.best(errors))
+        candidates.prune(errors, self.kept, 1.0)
+        last = smooth.ftol if task.full is None else 1e-6
+        widths = smooth.loss.smoothing_widths
+        errors = candidates.descend(smooth, max_iterations=task.max_iterations, ftol=last, widths=widths[-2:])
+        outcome.add(f"best {self.kept}, {smooth.describe_size()}", *candidates.best(errors))
+        outcome.near_optimal = candidates.others_within(errors, self.near_optimal)
+        if smooth is not objective:
+            step = lbfgs_fit(objective, outcome.values, free, max_iterations=task.max_iterations)
+            outcome.add("the loss itself", *step)
+        if isinstance(task.full, GaussNewtonObjective):
+            self._on_all_samples(task, task.full, outcome, candidates, errors)
+        return outcome
+
+    def _on_all_samples(
+        self, task: Task, full: GaussNewtonObjective, outcome: Outcome, candidates: "_Candidates", errors: Solution
+    ) -> None:
+        """The minima that are close to the best, on ever more samples."""
+        near, count = self.near_optimal, len(full.problem.pairs)
+        last = full.loss.smoothing_widths[-1:]
+        if count // self.share >= 2 * len(task.objective.problem.pairs):
+            candidates.prune(errors, self.kept, near)
+            between, near = full.subsample(count // self.share, 1), near / 5
+            errors = candidates.descend(between, max_iterations=50, ftol=1e-7, widths=last)
+            outcome.add(between.describe_size(), *candidates.best(errors))
+        candidates.prune(errors, self.kept, near)
+        errors = candidates.descend(full, max_iterations=50, ftol=1e-6, widths=last)
+        outcome.add(f"all {full.describe_size()}", *candidates.best(errors))
 
 
-def _between(task: Task) -> Task | None:
-    """The task on a share of all samples, where those are many times what it works on."""
-    whole = task.finish
-    samples = stratified(len(whole.problem.pairs), len(whole.problem.pairs) // SHARE, 1)
-    if samples is None or len(samples) < 2 * len(task.problem.pairs):
-        return None
-    return whole.on(samples.to(whole.problem.target.device))
+STRATEGIES.register("global")(GlobalSearch())
 
 
-def _joint(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
-    """For models and losses that need a graph: the staged procedure, then all parameters together."""
+def _by_gradient(task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
+    """For objectives without curvature: the staged procedure, then all parameters together."""
     outcome = Outcome(values)
-    for step in stages(task, values, fit_diffuse, lambda *move: solve(task, *move)):
+    for step in stages(task, values, fit_diffuse, minimizer_of(task)):
         outcome.add(*step)
-    variables = task.moved(fit_diffuse)
-    outcome.add("all parameters", *solve(task, outcome.values, variables, task.parts))
-    if task.whole is not None:
-        outcome.add("all parameters, all samples", *solve(task.finish, outcome.values, variables, task.parts))
-    outcome.ties = [0] * len(task)
+    free, most = task.all_free(fit_diffuse), task.max_iterations
+    outcome.add("all parameters", *lbfgs_fit(task.objective, outcome.values, free, max_iterations=most))
+    if task.full is not None:
+        end = lbfgs_fit(task.full, outcome.values, free, max_iterations=most)
+        outcome.add("all parameters, all samples", *end)
+    outcome.near_optimal = [0] * len(task)
     return outcome
 
 
 @dataclass
-class _Rivals:
-    """Problems that compete for being a material's fit: of which material each is, `(R,)`, and its values."""
+class _Candidates:
+    """Problems that compete for being a material's fit: of which material each is, `(R,)`, and its parameters."""
 
     materials: Tensor
-    values: Values
+    values: ParameterDict
+    free: Parametrization
+    same: float
 
-    def move(self, task: Task, variables: list[Variable], parts: list[int], **options: object) -> Solution:
-        """Descend from where each is."""
-        self.values, found = descend(task, self.materials, self.values, variables, parts, **options)  # type: ignore[arg-type]
+    def descend(
+        self, objective: GaussNewtonObjective, *, max_iterations: int, ftol: float, widths: tuple[float | None, ...]
+    ) -> Solution:
+        """From where each is, by Levenberg-Marquardt."""
+        self.values, found = levenberg_marquardt_fit(
+            objective,
+            self.values,
+            self.free,
+            materials=self.materials,
+            max_iterations=max_iterations,
+            ftol=ftol,
+            widths=widths,
+        )
         return found
 
-    def best(self, found: Solution) -> tuple[Values, Solution]:
+    def best(self, found: Solution) -> tuple[ParameterDict, Solution]:
         """The best of each material."""
         order = self._order(found.value)
         first = torch.ones_like(order, dtype=torch.bool)
         first[1:] = self.materials[order][1:] != self.materials[order][:-1]
         rows = order[first]
         status = [found.status[row] for row in rows.tolist()]
-        value, x = found.value[rows], found.x[rows]
-        own = Solution(x, value, status, found.iterations[rows.cpu()], found.evaluations[rows.cpu()])
-        return {key: values[rows] for key, values in self.values.items()}, own
+        return take(self.values, rows), Solution(found.x[rows], found.value[rows], status, found.iterations[rows.cpu()])
 
-    def keep(self, found: Solution, most: int, within: float) -> None:
+    def prune(self, found: Solution, most: int, within: float) -> None:
         """Let only the best different ones of each material go on, with errors up to 1 + `within` times the best."""
         rows = self._different(found.value, most, within)
-        self.materials = self.materials[rows]
-        self.values = {key: values[rows] for key, values in self.values.items()}
+        self.materials, self.values = self.materials[rows], take(self.values, rows)
 
-    def ties(self, found: Solution) -> list[int]:
-        """How many other minima each material has within TIE."""
-        rows = self._different(found.value, len(found.value), TIE)
+    def others_within(self, found: Solution, within: float) -> list[int]:
+        """How many other minima each material has within so much of the best."""
+        rows = self._different(found.value, len(found.value), within)
         return (torch.bincount(self.materials[rows], minlength=int(self.materials.max()) + 1) - 1).tolist()
 
     def _order(self, error: Tensor) -> Tensor:
@@ -139,11 +173,7 @@ class _Rivals:
             if material != before:
                 before, count, lowest, last = material, 1, value, value
                 kept.append(row)
-            elif count < most and value <= lowest * (1 + within) and value > last * (1 + SAME):
+            elif count < most and value <= lowest * (1 + within) and value > last * (1 + self.same):
                 kept.append(row)
                 count, last = count + 1, value
         return torch.tensor(kept, device=error.device)
-
-
-def _join(*several: Values) -> Values:
-    return {key: torch.cat([values[key] for values in several]) for key in several[0]}

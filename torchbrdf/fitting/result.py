@@ -8,9 +8,9 @@ from typing import Any
 from torch import Tensor
 
 from torchbrdf.files import write_csv
-from torchbrdf.fitting.lbfgs import Status
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, write_fits
+from torchbrdf.solvers import Status
 
 
 @dataclass

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Iterator
 
-from torchbrdf.fitting.lbfgs import Solution
-from torchbrdf.fitting.solve import Task, descend, solve
+from torchbrdf.fitting.objective import GaussNewtonObjective
+from torchbrdf.fitting.parameters import FreeParameter, ParameterDict, Parametrization, free_parameters
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
-from torchbrdf.fitting.variables import Values, Variable
+from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
+from torchbrdf.solvers import Solution
 
-# Minimises over some variables with some parts of the model present.
-Minimizer = Callable[[Values, list[Variable], list[int]], tuple[Values, Solution]]
+# Minimises over some parameters, from some values.
+Minimizer = Callable[[ParameterDict, Parametrization], tuple[ParameterDict, Solution]]
 
 
 @STRATEGIES.register("staged")
-def staged(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
+def staged(task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
     """Fit as Fores, Ferwerda and Gu (2012) did, to the letter, with a quasi-Newton solver as theirs.
 
     With the diffuse albedo given, one lobe with a scalar albedo and its shape parameters is fitted; then each further
@@ -21,38 +22,46 @@ def staged(task: Task, values: Values, fit_diffuse: bool) -> Outcome:
     the diffuse albedo moves throughout.
     """
     outcome = Outcome(values)
-    for step in stages(task, values, fit_diffuse, lambda *move: solve(task, *move)):
+    for step in stages(task, values, fit_diffuse, minimizer_of(task)):
         outcome.add(*step)
-    if task.whole is not None:
-        moved = _diffuse(task, fit_diffuse) + _albedos(task)
-        finish, start, last = task.finish, outcome.values, task.loss.rounding[-1:]
-        if finish.analytic:
-            end = descend(finish, task.everyone, start, moved, task.parts, max_iterations=30, rounding=last)
+    if task.full is not None:
+        albedos = task.parametrization(_diffuse(task, fit_diffuse) + _albedos(task))
+        if isinstance(task.full, GaussNewtonObjective):
+            last = task.full.loss.smoothing_widths[-1:]
+            end = levenberg_marquardt_fit(task.full, outcome.values, albedos, max_iterations=30, widths=last)
         else:
-            end = solve(finish, start, moved, task.parts)
+            end = lbfgs_fit(task.full, outcome.values, albedos, max_iterations=task.max_iterations)
         outcome.add("RGB albedo, shapes held, all samples", *end)
     return outcome
 
 
+def minimizer_of(task: Task) -> Minimizer:
+    """The general solver on a task's objective."""
+
+    def minimize(values: ParameterDict, parametrization: Parametrization) -> tuple[ParameterDict, Solution]:
+        return lbfgs_fit(task.objective, values, parametrization, max_iterations=task.max_iterations)
+
+    return minimize
+
+
 def stages(
-    task: Task, values: Values, fit_diffuse: bool, minimizer: Minimizer
-) -> Iterator[tuple[str, Values, Solution]]:
+    task: Task, values: ParameterDict, fit_diffuse: bool, minimize: Minimizer
+) -> Iterator[tuple[str, ParameterDict, Solution]]:
     """The stages one after the other: name, values so far, and what the minimizer says."""
-    moved = _diffuse(task, fit_diffuse)
-    shaped: list[Variable] = []
+    diffuse = _diffuse(task, fit_diffuse)
+    shaped: list[FreeParameter] = []
     for count, k in enumerate(task.specular, start=1):
-        for variable in task.variables([k]):
-            scalar = variable.bounded.linear and variable.bounded.shape == (3,)
-            shaped.append(Variable(k, variable.bounded, 1) if scalar else variable)
-        values, found = minimizer(values, moved + shaped, task.diffuse + task.specular[:count])
+        shaped += free_parameters(task.model, [k], scalar_albedo=True)
+        components = task.diffuse + task.specular[:count]
+        values, found = minimize(values, task.parametrization(diffuse + shaped, components))
         yield f"{count} lobe{'s' if count > 1 else ''}, scalar albedo", values, found
-    values, found = minimizer(values, moved + _albedos(task), task.parts)
+    values, found = minimize(values, task.parametrization(diffuse + _albedos(task)))
     yield "RGB albedo, shapes held", values, found
 
 
-def _diffuse(task: Task, fit_diffuse: bool) -> list[Variable]:
-    return task.variables(task.diffuse) if fit_diffuse else []
+def _diffuse(task: Task, fit_diffuse: bool) -> list[FreeParameter]:
+    return free_parameters(task.model, task.diffuse) if fit_diffuse else []
 
 
-def _albedos(task: Task) -> list[Variable]:
-    return [variable for variable in task.variables(task.specular) if variable.bounded.linear]
+def _albedos(task: Task) -> list[FreeParameter]:
+    return [one for one in free_parameters(task.model, task.specular) if one.spec.linear]

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from torchbrdf.fitting.lbfgs import Solution, Status
-from torchbrdf.fitting.solve import Task
-from torchbrdf.fitting.variables import Values
+from torchbrdf.fitting.parameters import ParameterDict
+from torchbrdf.fitting.task import Task
 from torchbrdf.registry import Registry
+from torchbrdf.solvers import Solution, Status
 
 
 @dataclass
@@ -33,16 +33,16 @@ def joined(stages: list[Stage]) -> Stage:
 class Outcome:
     """The values a strategy has come to, and the stages on the way.
 
-    starts: how many it tried; ties: of each material, how many other minima it found within 1 % of the best error on
-    the subset.
+    starts: how many it tried; near_optimal: of each material, how many other minima it found close to the best error
+    on the subset.
     """
 
-    values: Values
+    values: ParameterDict
     stages: list[Stage] = field(default_factory=list)
     starts: int = 1
-    ties: list[int] = field(default_factory=list)
+    near_optimal: list[int] = field(default_factory=list)
 
-    def add(self, name: str, values: Values, found: Solution) -> None:
+    def add(self, name: str, values: ParameterDict, found: Solution) -> None:
         """Record a stage."""
         self.values = values
         self.stages.append(Stage(name, found.value.tolist(), found.status, found.iterations.tolist()))
@@ -52,6 +52,15 @@ class Outcome:
         return self.stages[-1].status[material]
 
 
-Strategy = Callable[[Task, Values, bool], Outcome]
+# A function of the task, the parameters at the start, and whether the diffuse albedo is fitted.
+Strategy = Callable[[Task, ParameterDict, bool], Outcome]
 
 STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies")
+
+
+def strategy_name(strategy: str | Strategy) -> str:
+    """The name that a strategy is registered under; of another one, what it calls itself."""
+    if isinstance(strategy, str):
+        return STRATEGIES.canonical(strategy)
+    own = getattr(strategy, "__name__", repr(strategy))
+    return next((name for name, one in STRATEGIES.items() if one == strategy), own)

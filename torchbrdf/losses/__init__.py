@@ -1,29 +1,33 @@
 """How values on Pairs are compared: formulas, and a learned metric. A loss a file. Importing them costs little."""
 
-from torchbrdf.losses.base import LOSSES, LeastSquares, Loss, Problem
+from torchbrdf.losses import functional
+from torchbrdf.losses.base import LOSSES, Loss, Problem
+from torchbrdf.losses.binned import BinAssignment, BinnedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
-from torchbrdf.losses.grouped import GroupedLoss, Grouping
+from torchbrdf.losses.function import FunctionLoss, as_loss
+from torchbrdf.losses.image import ImageLoss
 from torchbrdf.losses.learned import LearnedLoss
 from torchbrdf.losses.log import LogLoss
-from torchbrdf.losses.observed import ObservedLoss
 from torchbrdf.losses.rms import RMSLoss
 from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 
 __all__ = [
     "LOSSES",
+    "BinAssignment",
+    "BinnedLoss",
     "CompressedLoss",
     "CosineRMSLoss",
     "CubeRootLoss",
-    "GroupedLoss",
-    "Grouping",
+    "FunctionLoss",
+    "ImageLoss",
     "LearnedLoss",
-    "LeastSquares",
     "LogLoss",
     "Loss",
-    "ObservedLoss",
     "Problem",
     "RMSLoss",
     "SolidAngleCosineRMSLoss",
+    "as_loss",
+    "functional",
 ]

@@ -1,24 +1,45 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.losses import derivatives
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
+# Names of before, which fits.json and commands may still have.
+LOSSES.alias("cosine", "cosine_rms")
+LOSSES.alias("cuberoot", "cube_root")
+LOSSES.alias("solid_angle_cosine", "solid_angle_cosine_rms")
 
 Reduction = Literal["none", "mean", "sum"]
+HALVES = (torch.float16, torch.bfloat16)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a fit solves: find values on `pairs` that come close to `target`, `(M, N, 3)`, under `weight`."""
+    """What a fit solves: find values on `pairs` that come close to `target` under `weight`.
+
+    Args:
+        pairs: of shape `(M|1, N)`.
+        target: BRDF values in 1/sr, `(M, N, 3)`.
+        weight: how much each pair counts, `(M|1, N, 1|3)`; None: all the same.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_cosines(cos_i=torch.tensor([[0.5, 0.9]]))
+        >>> problem = Problem(pairs, torch.ones(4, 2, 3))
+        >>> problem.select(materials=torch.tensor([0, 2])).target.shape
+        torch.Size([2, 2, 3])
+    """
 
     pairs: Pairs
     target: Tensor
@@ -36,7 +57,7 @@ class Problem:
         return Problem(self.pairs.select(materials, samples), target, weight)
 
 
-class Samples(Protocol):
+class MeasuredValues(Protocol):
     """What a loss asks of a measured BRDF."""
 
     @property
@@ -45,30 +66,67 @@ class Samples(Protocol):
     def values(self) -> Tensor: ...
     @property
     def weight(self) -> Tensor: ...
-    def batch(self, materials: list[int] | None = None, samples: Tensor | None = None) -> "Samples": ...
+    def batch(self, materials: list[int] | None = None, samples: Tensor | None = None) -> "MeasuredValues": ...
 
 
 class Loss(nn.Module):
-    """An error for each material: the root of the weighted mean of a pointwise difference.
+    """An error for each material: `loss(prediction, target, pairs, weight=None)`.
 
-    `loss(prediction, target, pairs, weight=None)` takes values `(..., N, C)` in 1/sr without the cosine, Pairs of
-    shape `(..., N)` and weights that broadcast to the values; the mean counts every channel of every pair, and
-    pairs of weight 0 do not count (their values must be finite). The error has the shape `(...)` with
-    reduction="none", and is a scalar with "mean" or "sum". Without any weight above 0 there is no error: nan.
+    The base class is the root of the weighted mean of penalties: the square of each error is the mean of
+    `penalty(encode(prediction) - encode(target))` over every channel of every pair. A subclass registers itself, says
+    in `needs` which quantities of Pairs it reads, and gives
 
-    A subclass registers itself, says in `needs` which quantities of Pairs it reads, and gives `encode` and `penalty`,
-    each with its derivative beside it: the error's square is the mean of penalty(encode(prediction) - encode(target)).
+    - `encode`, and `penalty` where it is not the square, each a function of one value at a time; or
+    - `error`, for any other error of each material; or
+    - `forward` alone, which `torchbrdf.fit` takes as it takes any function of (prediction, target).
+
+    Fits use closed derivatives where a subclass gives `encode_with_derivative` and `penalty_with_derivatives`, and
+    autograd where it does not.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+
+    Raises:
+        UsageError: for any other reduction.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.losses import Loss
+        >>> class L1Loss(Loss):
+        ...     smoothing_widths = (0.1, 0.01, 0.001)
+        ...     def encode(self, values, pairs):
+        ...         return values
+        ...     def penalty(self, difference):
+        ...         return difference.abs()
+        >>> L1Loss()(torch.full((1, 5, 3), 3.0), torch.full((1, 5, 3), -1.0))
+        tensor(2.)
     """
 
     needs: ClassVar[tuple[str, ...]] = ()
-    subsets: ClassVar[bool] = True
-    scene: str = ""
+    """Which quantities of Pairs it reads."""
+    objective: ClassVar[str] = "pointwise"
+    """Which objective of `torchbrdf.fitting.objective` a fit makes of it: "pointwise", "binned", "image" or "autograd".
+    A subclass that overrides how errors are computed has "autograd", unless it says otherwise."""
+    supports_subsampling: ClassVar[bool] = True
+    scene_summary: str = ""
     """What pictures it compares, in words, if it compares pictures; fits record it."""
-    rounding: ClassVar[tuple[float | None, ...]] = (None,)
+    smoothing_widths: tuple[float | None, ...] = (None,)
     """Widths over which a cusp at equal values is rounded on the way to a minimum, in units of the mean of what is
     encoded, one after the other; None: there is no cusp."""
+    is_root: bool = True
+    """Whether the error is the square root of what a fit minimises."""
 
-    _aimed: tuple[Tensor, int, Pairs | None, Tensor] | None = None
+    _encoded_target: tuple[Tensor, int, Pairs | None, Tensor] | None = None
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        own = vars(cls)
+        if "objective" not in own and own.keys() & {"error", "forward", "pointwise"}:
+            cls.objective = "autograd"
+        # What is derived from a method that is overridden is not inherited from further up.
+        for method, derived in (("encode", "encode_with_derivative"), ("penalty", "penalty_with_derivatives")):
+            if method in own and derived not in own:
+                setattr(cls, derived, getattr(Loss, derived))
 
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__()
@@ -82,79 +140,134 @@ class Loss(nn.Module):
         return next((name for name, kind in LOSSES.items() if type(self) is kind), type(self).__name__)
 
     @property
-    def analytic(self) -> bool:
+    def has_closed_derivatives(self) -> bool:
+        """Whether it gives the derivatives of `encode` and `penalty` itself."""
+        kind = type(self)
+        squares = kind.penalty is Loss.penalty
+        closed_penalty = squares or kind.penalty_with_derivatives is not Loss.penalty_with_derivatives
+        return closed_penalty and kind.encode_with_derivative is not Loss.encode_with_derivative
+
+    @property
+    def elementwise(self) -> bool:
+        """Whether `encode` and `penalty` are functions of one value at a time: taken on trust of closed derivatives,
+        else tried on a few values."""
+        return self.has_closed_derivatives or derivatives.elementwise(self)
+
+    @property
+    def separable(self) -> bool:
         """Whether the error is a mean over pairs of penalties, so that parts of the pairs can be summed apart."""
-        return type(self).error is Loss.error
+        return self.objective == "pointwise" and self.elementwise
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """What is compared of each value, `(..., N, C)`."""
-        raise NotImplementedError
+        raise NotImplementedError(
+            f"{type(self).__name__}: expected a method encode, error or forward, found none of them"
+        )
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """`encode`, and its derivative by each value, at least 0."""
-        raise NotImplementedError
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+        """`encode`, and its derivative by each value; by autograd, unless a loss knows a shorter way."""
+        return derivatives.encode_with_derivative(self, values, pairs)
 
     def penalty(self, difference: Tensor) -> Tensor:
-        """What each difference adds, at least 0."""
-        raise NotImplementedError
+        """What each difference adds, at least 0: its square."""
+        return difference.square()
 
-    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    def penalty_with_derivatives(
+        self, difference: Tensor, width: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """`penalty`, its derivative, and the curvature, at least 0, of a parabola that stands in for it nearby.
 
-        width, which broadcasts: a penalty with a cusp at 0 is rounded there over differences of this size.
+        width, which broadcasts: a penalty with a cusp at 0 is rounded there over differences of this size. The square
+        is its own parabola; of other penalties by autograd, unless a loss knows a shorter way.
         """
-        raise NotImplementedError
+        if type(self).penalty is Loss.penalty:
+            return difference.square(), 2 * difference, difference.new_full((1, 1), 2)
+        return derivatives.penalty_with_derivatives(self, difference, width)
 
-    def density(self, pairs: Pairs) -> Tensor | None:
+    def sample_weight(self, pairs: Pairs) -> Tensor | None:
         """How much each pair counts beside its weight, `(..., N)`, if not all the same."""
         return None
 
-    def counted(self, pairs: Pairs | None, weight: Tensor | None) -> Tensor | None:
-        """The weight of each pair with its density, `(..., N, 1)`; None if all count the same."""
-        density = None if pairs is None else self.density(pairs)
-        if density is None:
+    def effective_weight(self, pairs: Pairs | None, weight: Tensor | None) -> Tensor | None:
+        """The weight of each pair times `sample_weight`, `(..., N, 1|C)`; None if all count the same."""
+        own = None if pairs is None else self.sample_weight(pairs)
+        if own is None:
             return weight
-        return density[..., None] if weight is None else weight * density[..., None]
+        return own[..., None] if weight is None else weight * own[..., None]
 
     def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
         """The penalty of every value, `(..., N, C)`."""
         return self.penalty(self.encode(prediction, pairs) - self.encode(target, pairs))
 
-    def figure(self, value: Tensor) -> Tensor:
-        """The error of what a fit minimises: here the root of a mean."""
-        return safe_sqrt(value)
+    def finalize(self, value: Tensor) -> Tensor:
+        """The error of what a fit minimises."""
+        return safe_sqrt(value) if self.is_root else value
 
     def error(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
-        """The error of each material, `(...)`, in the units of the compared values and in float64, as it was summed."""
+        """The error of each material, in the units of the compared values.
+
+        Args:
+            prediction: values in 1/sr without the cosine, `(..., N, C)`.
+            target: the same, of what is to be met.
+            pairs: of shape `(..., N)`; may be None where `needs` is empty.
+            weight: how much each value counts, broadcasts to the values; pairs of weight 0 do not count at all, but
+                their values must be finite.
+
+        Returns:
+            `(...)`, float64, as it was summed; nan without any weight above 0.
+
+        Raises:
+            ShapeError: for tensors that do not fit together.
+        """
         self._check(prediction, target, pairs, weight)
-        return self.figure(weighted_mean(self.pointwise(prediction, target, pairs), self.counted(pairs, weight)))
+        prediction, target, pairs = self._widened(prediction, target, pairs)
+        found = weighted_mean(self.pointwise(prediction, target, pairs), self.effective_weight(pairs, weight))
+        return self.finalize(found)
 
     def forward(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
-        """The error after the reduction, in the inputs' dtype; see the class for the shapes."""
+        """`error` after the reduction, in the inputs' dtype."""
         error = self.error(prediction, target, pairs, weight).to(torch.promote_types(prediction.dtype, target.dtype))
-        if self.reduction == "none":
-            return error
-        return error.mean() if self.reduction == "mean" else error.sum()
+        return reduced(error, self.reduction)
 
-    def remembered(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
+    def problem(self, measured: MeasuredValues, subset: Tensor | None = None) -> Problem:
+        """The measured pairs, or those of them that `subset` names by index, as a Problem."""
+        part = measured if subset is None else measured.batch(samples=subset)
+        return Problem(part.pairs, part.values, part.weight)
+
+    def _cached_target(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
         """make(), what is compared of a target, kept for when the same tensor comes again, unchanged and on the same
         pairs, as it does in every step of a fit.
         """
         if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
             return make()
-        kept = self._aimed
+        kept = self._encoded_target
         if kept is None or kept[0] is not target or kept[1] != target._version or kept[2] is not pairs:
-            kept = self._aimed = target, target._version, pairs, make()
+            kept = self._encoded_target = target, target._version, pairs, make()
         return kept[3]
 
-    def problem(self, measured: Samples, subset: Tensor | None = None) -> Problem:
-        """The measured pairs, or those of them that `subset` names by index, as a Problem."""
-        part = measured if subset is None else measured.batch(samples=subset)
-        return Problem(part.pairs, part.values, part.weight)
+    def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
+        """Values of half precision in float32: they are stored so, but hold too little to be worked with."""
+        if prediction.dtype in HALVES:
+            prediction = prediction.float()
+        if target.dtype in HALVES:
+            target = target.float()
+        if self.needs and pairs is not None and pairs.dtype in HALVES:
+            pairs = pairs.to(dtype=torch.float32)
+        return prediction, target, pairs
+
+    def extra_repr(self) -> str:
+        """The arguments of the constructor that are not the defaults."""
+        parameters = inspect.signature(type(self).__init__).parameters.values()
+        given = [(one.name, getattr(self, one.name)) for one in parameters if hasattr(self, one.name)]
+        defaults = {one.name: one.default for one in parameters}
+        return ", ".join(f"{name}={value!r}" for name, value in given if value != defaults[name])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "_encoded_target": None}  # copies and other processes have other targets
 
     def _check(self, prediction: Tensor, target: Tensor, pairs: Pairs | None, weight: Tensor | None) -> None:
         name = type(self).__name__
@@ -174,20 +287,11 @@ class Loss(nn.Module):
                 raise ShapeError(f"{name}: weights {(*weight.shape,)} do not broadcast to values {(*target.shape,)}")
 
 
-class LeastSquares(Loss):
-    """A loss that is a root mean square of residuals, so that Gauss-Newton solvers apply."""
-
-    def residuals(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
-        """Signed differences, `(..., N, C)`."""
-        return self.encode(prediction, pairs) - self.encode(target, pairs)
-
-    def penalty(self, difference: Tensor) -> Tensor:
-        """The square."""
-        return difference.square()
-
-    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """The square is its own parabola."""
-        return difference.square(), 2 * difference, difference.new_full((1, 1), 2)
+def reduced(error: Tensor, reduction: Reduction) -> Tensor:
+    """The errors of materials, their mean or their sum."""
+    if reduction == "none":
+        return error
+    return error.mean() if reduction == "mean" else error.sum()
 
 
 def cosine(pairs: Pairs | None) -> Tensor:
@@ -204,6 +308,11 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
     weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
     total = (values * weight).sum((-2, -1), dtype=torch.float64)
     return total / weight.sum((-2, -1), dtype=torch.float64)
+
+
+def version(x: Tensor) -> int:
+    """Changes with the tensor's content; those of inference mode have none, and cannot change outside it."""
+    return -1 if torch.compiler.is_compiling() or x.is_inference() else x._version
 
 
 def safe_sqrt(x: Tensor) -> Tensor:

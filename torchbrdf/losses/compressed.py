@@ -5,12 +5,12 @@ from torch import Tensor
 
 from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
-from torchbrdf.losses.base import LOSSES, LeastSquares, Reduction, cosine
+from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine
 from torchbrdf.pairs import Pairs
 
 
 @LOSSES.register("compressed")
-class CompressedLoss(LeastSquares):
+class CompressedLoss(Loss):
     """sqrt(sum(((M cos_i)^p - (A cos_i)^p)^2) / n) with the exponent p, 1/3 by default. Shapes as `Loss`.
 
     Negative values count as 0. A power below 1 has an infinite slope at 0, so that x^p is (x + eps)^p - eps^p:
@@ -25,12 +25,17 @@ class CompressedLoss(LeastSquares):
             raise UsageError(f"CompressedLoss: expected an exponent above 0 and at most 2, found {exponent}")
         self.exponent, self.eps = exponent, eps
 
+    def extra_repr(self) -> str:
+        """The exponent, and what else is not the default."""
+        rest = [part for part in super().extra_repr().split(", ") if part and not part.startswith("exponent")]
+        return ", ".join([f"exponent={self.exponent:g}", *rest])
+
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """(M cos_i)^p."""
         x = (values * cosine(pairs)).clamp_min(0)
         return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """p (M cos_i)^(p - 1) cos_i, 0 for values of 0 or less."""
         cos_i = cosine(pairs)
         x = (values * cos_i).clamp_min(0)

@@ -4,12 +4,12 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchbrdf.losses.base import LOSSES, LeastSquares, cosine
+from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.pairs import Pairs
 
 
-@LOSSES.register("cosine")
-class CosineRMSLoss(LeastSquares):
+@LOSSES.register("cosine_rms")
+class CosineRMSLoss(Loss):
     """sqrt(sum((M cos_i - A cos_i)^2) / n), the paper's eq. 9. Shapes as `Loss`."""
 
     needs: ClassVar[tuple[str, ...]] = ("cos_i",)
@@ -18,7 +18,7 @@ class CosineRMSLoss(LeastSquares):
         """M cos_i."""
         return values * cosine(pairs)
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """cos_i."""
         cos_i = cosine(pairs)
         return values * cos_i, cos_i

@@ -8,7 +8,7 @@ from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine
 from torchbrdf.pairs import Pairs
 
 
-@LOSSES.register("cuberoot")
+@LOSSES.register("cube_root")
 class CubeRootLoss(Loss):
     """sqrt(sum(((M cos_i - A cos_i)^2)^(1/3)) / n), the paper's eq. 10 read literally. Shapes as `Loss`.
 
@@ -22,7 +22,8 @@ class CubeRootLoss(Loss):
 
     needs = ("cos_i",)
     # The last changes errors by less than 1e-3; without any, a fit ends in the nearest of countless kinks.
-    rounding = (0.1, 0.01, 0.001)
+    smoothing_widths = (0.1, 0.01, 0.001)
+    objective = "pointwise"
 
     def __init__(self, reduction: Reduction = "mean", eps: float = 1e-24) -> None:
         super().__init__(reduction)
@@ -32,7 +33,7 @@ class CubeRootLoss(Loss):
         """M cos_i."""
         return values * cosine(pairs)
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """cos_i."""
         cos_i = cosine(pairs)
         return values * cos_i, cos_i
@@ -49,7 +50,9 @@ class CubeRootLoss(Loss):
         # In float32 the difference of two equal roots may round to just below 0.
         return ((square + self.eps).pow(1 / 3) - self.eps ** (1 / 3)).clamp_min(0)
 
-    def penalty_slope(self, difference: Tensor, width: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    def penalty_with_derivatives(
+        self, difference: Tensor, width: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Of (d^2 + width^2)^(1/3), with the parabola that touches it on both sides and is nowhere below it."""
         tiny = torch.finfo(difference.dtype).tiny
         square = difference.square() + (max(self.eps, tiny) if width is None else width.square())

@@ -1,19 +1,19 @@
 """A distance between BRDFs whose weights were learned from what people answered."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.losses.base import LOSSES, Reduction
-from torchbrdf.losses.grouped import GroupedLoss, holdings
+from torchbrdf.losses.base import LOSSES, Reduction, version
+from torchbrdf.losses.binned import BinnedLoss, bin_mass
 from torchbrdf.pairs import Pairs
 
 FLOOR = 1e-4
@@ -24,15 +24,15 @@ THETA_D = (15.0, 45.0, 75.0)
 
 ROWS, COLUMNS = len(THETA_H), len(THETA_D)
 BINS = ROWS * COLUMNS
-HEIGHTS = tuple(combinations(range(ROWS), 2))
-KINDS = ("luminance", "chroma")
-SHAPES = {"mean": (ROWS, COLUMNS), "contrast": (len(HEIGHTS), COLUMNS)}
+BIN_PAIRS = tuple(combinations(range(ROWS), 2))
+COLOR_TERMS = ("luminance", "chroma")
+SHAPES = {"mean": (ROWS, COLUMNS), "contrast": (len(BIN_PAIRS), COLUMNS)}
 POINTWISE = "pointwise"
 BUNDLED = "learned_metric.json"
 
 
 @LOSSES.register("learned")
-class LearnedLoss(GroupedLoss):
+class LearnedLoss(BinnedLoss):
     """sqrt(P + M + K), a norm of differences d_c = e(M_c) - e(A_c), e(x) = (max(x, 0) cos_i cos_o + FLOOR)^(1/4).
 
     Shapes as `Loss`. Each pair has a luminance difference y = sum_c l_c d_c (l: `LUMINANCE`; 1/C each if there are not
@@ -66,31 +66,47 @@ class LearnedLoss(GroupedLoss):
         super().__init__(reduction)
         data = read_weights(weights)
         self.provenance: dict[str, Any] = dict(data.get("provenance", {}))
-        pointwise, averages = arrange(data["weights"])
+        pointwise, averages = unpack_weights(data["weights"])
+        self.weights = weights if isinstance(weights, str | Path) else None
         self.average_weight: Tensor
-        self.factor: Tensor
         self.register_buffer("square_weight", pointwise)
         self.register_buffer("average_weight", averages)
-        self.register_buffer("factor", factor(averages, 3), persistent=False)
+        self._factor: tuple[Tensor, int, int, Tensor] | None = None
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """(max(M, 0) cos_i cos_o + FLOOR)^(1/4)."""
         return encode(values, pairs)
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """cos_i cos_o / 4 (M cos_i cos_o + FLOOR)^(-3/4), 0 for values of 0 or less."""
         encoded = encode(values, pairs)
         return encoded, torch.where(values > 0, 0.25 * cosines(pairs) / encoded.pow(3), 0)
 
-    def groups(self, pairs: Pairs) -> Tensor:
+    def membership(self, pairs: Pairs) -> Tensor:
         """`soft_bins`."""
         return soft_bins(pairs)
 
-    def root(self, channels: int) -> Tensor:
-        """`factor` of the weights."""
-        return self.factor if channels == 3 else factor(self.average_weight, channels)
+    def mean_factor(self, channels: int) -> Tensor:
+        """`factor` of the weights, kept as long as they stay what they are."""
+        weight, kept = self.average_weight, self._factor
+        if torch.compiler.is_compiling() or weight.requires_grad:
+            return factor(weight, channels)
+        if kept is None or kept[0] is not weight or kept[1:3] != (version(weight), channels):
+            kept = self._factor = weight, version(weight), channels, factor(weight, channels)
+        return kept[3]
 
-    def even(self, difference: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Weights follow to another device, but stay float64, as sums are; half precision would round them."""
+        before = dict(self.named_buffers(recurse=False))
+        super()._apply(fn, recurse)
+        for name, buffer in before.items():
+            setattr(self, name, buffer.to(getattr(self, name).device))
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "_factor": None}
+
+    def collapse_channel_weights(self, difference: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """The luminance becomes that of the channels by their weights, each chroma that by its share of the largest."""
         if weight is None or weight.dim() == 0 or weight.shape[-1] == 1:
             return difference, weight
@@ -143,7 +159,7 @@ def contrasts(means: Tensor) -> Tensor:
     """
     lightness = (luminance(means.mT) @ means)[..., None, :]
     means = torch.cat([lightness, means - lightness], -2)
-    one, other = torch.tensor(HEIGHTS, device=means.device).unbind(1)
+    one, other = torch.tensor(BIN_PAIRS, device=means.device).unbind(1)
     rows = means.unflatten(-1, (ROWS, COLUMNS))
     return torch.cat([means, (rows[..., one, :] - rows[..., other, :]).flatten(-2)], -1)
 
@@ -157,30 +173,30 @@ def factor(weight: Tensor, channels: int) -> Tensor:
     return (contrasts(unit) * root).flatten(-2)
 
 
-def terms(difference: Tensor, bins: Tensor) -> Tensor:
-    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `named`.
+def features(difference: Tensor, bins: Tensor) -> Tensor:
+    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `pack_weights`.
 
     difference: `(..., N, C)`; bins: `soft_bins`, in its dtype.
     """
-    held = holdings(bins)
-    squares = difference.square().mean(-1)[..., None, :] @ bins / held
-    parts = contrasts((difference.mT @ bins).double() / held).square()
+    mass = bin_mass(bins)
+    squares = difference.square().mean(-1)[..., None, :] @ bins / mass
+    parts = contrasts((difference.mT @ bins).double() / mass).square()
     pointwise = squares[..., 0, :].unflatten(-1, (ROWS, COLUMNS)).sum(-1)
     return torch.cat([pointwise, parts[..., 0, :], parts[..., 1:, :].sum(-2)], -1)
 
 
-def arrange(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
+def unpack_weights(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
     """Weights by name as those of mean squares `(BINS,)` and of averages `(2, K)`, float64."""
     pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64).repeat_interleave(COLUMNS)
-    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in KINDS]
+    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in COLOR_TERMS]
     return pointwise, torch.stack([torch.cat([part.flatten() for part in row]) for row in rows])
 
 
-def named(weights: Tensor) -> dict[str, Any]:
-    """Weights `(T,)` in the order of `terms`, by name, to four digits."""
+def pack_weights(weights: Tensor) -> dict[str, Any]:
+    """Weights `(T,)` in the order of `features`, by name, to four digits."""
     rounded = torch.tensor([float(f"{value:.4g}") for value in weights.tolist()], dtype=torch.float64)
     found: dict[str, Any] = {POINTWISE: rounded[:ROWS].tolist()} | {name: {} for name in SHAPES}
-    for kind, row in zip(KINDS, rounded[ROWS:].chunk(2), strict=True):
+    for kind, row in zip(COLOR_TERMS, rounded[ROWS:].chunk(2), strict=True):
         start = 0
         for name, (rows, columns) in SHAPES.items():
             found[name][kind] = row[start : start + rows * columns].reshape(rows, columns).tolist()
@@ -200,19 +216,19 @@ def read_weights(weights: str | Path | Mapping[str, Any] | None) -> Mapping[str,
             raise DataError(f"{where}: expected the JSON of a learned metric: {str(error).splitlines()[0]}") from None
     if not isinstance(data, Mapping) or not isinstance(data.get("weights"), Mapping):
         raise DataError(f"{where}: expected an object with weights, as the recipe train_metric writes it")
-    for key, expected in form().items():
+    for key, expected in schema().items():
         if data.get(key, expected) != expected:
             raise DataError(f"{where}: {key}: expected {expected}, found {data[key]!r}")
     _check_part(data["weights"], (POINTWISE,), (ROWS,), where)
     for name, shape in SHAPES.items():
-        for kind in KINDS:
+        for kind in COLOR_TERMS:
             _check_part(data["weights"], (name, kind), shape, where)
-    if not any(weight.any() for weight in arrange(data["weights"])):
+    if not any(weight.any() for weight in unpack_weights(data["weights"])):
         raise DataError(f"{where}: expected a weight above 0, found none")
     return data
 
 
-def form() -> dict[str, Any]:
+def schema() -> dict[str, Any]:
     """What the weights of a `metric.json` are the weights of."""
     return {"floor": FLOOR, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}
 

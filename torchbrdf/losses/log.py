@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from torchbrdf.losses.base import LOSSES, LeastSquares, cosine
+from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.pairs import Pairs
 
 
 @LOSSES.register("log")
-class LogLoss(LeastSquares):
+class LogLoss(Loss):
     """sqrt(sum((log(1 + M cos_i) - log(1 + A cos_i))^2) / n). Shapes as `Loss`; negative values count as 0.
 
     Source: the metric E2 of J. Low et al., BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces,
@@ -21,7 +21,7 @@ class LogLoss(LeastSquares):
         """log(1 + M cos_i)."""
         return torch.log1p((values * cosine(pairs)).clamp_min(0))
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """cos_i / (1 + M cos_i), 0 for negative values."""
         cos_i = cosine(pairs)
         x = (values * cos_i).clamp_min(0)

@@ -2,18 +2,18 @@
 
 from torch import Tensor
 
-from torchbrdf.losses.base import LOSSES, LeastSquares
+from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.pairs import Pairs
 
 
 @LOSSES.register("rms")
-class RMSLoss(LeastSquares):
+class RMSLoss(Loss):
     """sqrt(sum((M - A)^2) / n), the paper's eq. 8; needs no pairs. Shapes as `Loss`."""
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """The values as they are."""
         return values
 
-    def encode_slope(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """1."""
         return values, values.new_ones(1, 1)

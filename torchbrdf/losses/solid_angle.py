@@ -9,7 +9,7 @@ from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.pairs import Pairs
 
 
-@LOSSES.register("solid_angle_cosine")
+@LOSSES.register("solid_angle_cosine_rms")
 class SolidAngleCosineRMSLoss(CosineRMSLoss):
     """sqrt(sum(w (M cos_i - A cos_i)^2) / sum(w)). Shapes as `Loss`.
 
@@ -24,7 +24,7 @@ class SolidAngleCosineRMSLoss(CosineRMSLoss):
 
     needs: ClassVar[tuple[str, ...]] = ("cos_i", "theta_h", "theta_d")
 
-    def density(self, pairs: Pairs) -> Tensor | None:
+    def sample_weight(self, pairs: Pairs) -> Tensor | None:
         """The solid angle."""
         return solid_angle(pairs)
 

@@ -1,6 +1,5 @@
 """Pictures as a loss: how far a BRDF's picture of a scene is from the measured one's."""
 
-import copy
 from typing import Any
 
 import torch
@@ -9,28 +8,44 @@ from torch import Tensor
 from torchbrdf.color import luminance
 from torchbrdf.errors import UsageError
 from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, log_average_and_white, tonemap
-from torchbrdf.losses import ObservedLoss, Problem
-from torchbrdf.losses.base import Reduction, safe_sqrt
-from torchbrdf.losses.observed import Parabola
+from torchbrdf.losses import ImageLoss, Problem
+from torchbrdf.losses.base import Reduction
+from torchbrdf.losses.image import QuadraticModel
+from torchbrdf.pairs import Pairs
 from torchbrdf.render.scene import Scene
 from torchbrdf.render.transport.transport import Transport
 
 # Pixels that starts are compared by.
-_FEW = 1200
-# Stands in for differences that are no mean over pixels, while starts are tried.
-_STAND_IN = "delta_e76"
+_SUBSAMPLE = 1200
+# In the place of differences that are no mean over pixels, while starts are tried.
+_SURROGATE = "delta_e76"
 
 
-class RenderedLoss(ObservedLoss):
+class RenderedLoss(ImageLoss):
     """The difference of two pictures of one scene: `loss(prediction, target, scene.pairs)`.
 
     Values are those on the scene's pairs, `(M, N, 3)`; its transport makes pictures of them, in which only the object
-    counts. difference: a registered image difference, or its name; the error is its figure (of psnr the root of the
-    mean square). Differences of display values see both pictures through one tone map, which never depends on the
-    prediction or on the other materials of a batch: `tone`, or for each material one measured on its own reference.
+    counts. Differences of display values see both pictures through one tone map, which never depends on the prediction
+    or on the other materials of a batch. `fit(model, measured, RenderedLoss(scene))` fits to the scene's pairs, with
+    the measured values there as target; `max_theta` and `samples` do not matter to it.
 
-    `fit(model, measured, RenderedLoss(scene))` fits to the scene's pairs, with the measured values there as target;
-    `max_theta` and `samples` do not matter to it.
+    Args:
+        scene: what is drawn.
+        difference: a registered image difference, or its name; the error is what it says (of psnr the root of the mean
+            square).
+        tone: the tone map; None: for each material one that is measured on its own reference.
+        reduction: as of `Loss`.
+
+    Raises:
+        UsageError: for an unknown difference, or one that needs larger pictures.
+
+    Example:
+        >>> from torchbrdf.lobes import Lambert
+        >>> from torchbrdf.render import Environment, Scene, Camera, blob
+        >>> scene = Scene(blob(), Camera(), Environment.default(), size=16, light_samples=64)
+        >>> loss, values = RenderedLoss(scene, "log_hdr"), Lambert()(scene.pairs).detach()
+        >>> loss(values, values, scene.pairs)
+        tensor(0.)
     """
 
     def __init__(
@@ -41,19 +56,50 @@ class RenderedLoss(ObservedLoss):
         tone: ToneMap | None = None,
         reduction: Reduction = "mean",
     ) -> None:
-        super().__init__(reduction)
-        self.difference = DIFFERENCES[difference]() if isinstance(difference, str) else difference
-        self.tone = tone
-        if self.difference.reduction != "none":
-            found = self.difference.reduction
+        own = DIFFERENCES[difference]() if isinstance(difference, str) else difference
+        if own.reduction != "none":
+            found = own.reduction
             raise UsageError(f"RenderedLoss: expected a difference without a reduction, found {found!r}; give it here")
-        least = self.difference.least_side
-        if scene.size < least:
-            name = self.difference.registered_name
-            raise UsageError(f"RenderedLoss: {name} needs pictures of {least} pixels a side, found {scene.size}")
-        self.pairs, self.transport, self.mask = scene.pairs, scene.transport, scene.mask
-        self.scene = scene.summary
-        self._round()
+        if scene.size < own.least_side:
+            name = own.registered_name
+            raise UsageError(
+                f"RenderedLoss: {name} needs pictures of {own.least_side} pixels a side, found {scene.size}"
+            )
+        self._set(own, tone, reduction, scene.summary, scene.mask, scene.transport, scene.pairs)
+
+    def _set(
+        self,
+        difference: Difference,
+        tone: ToneMap | None,
+        reduction: Reduction,
+        scene_summary: str,
+        mask: Tensor,
+        transport: Transport,
+        pairs: Pairs,
+    ) -> None:
+        super().__init__(reduction)
+        self.difference, self.tone, self.scene_summary = difference, tone, scene_summary
+        self.mask, self.transport, self.pairs = mask, transport, pairs
+        power = difference.power if isinstance(difference, PixelDifference) else None
+        self.is_root = power == 2
+        # Mean lengths have a cusp, rounded over widths in units of the difference from black.
+        self.smoothing_widths = (0.1, 0.01, 0.001) if power == 1 else (None,)
+
+    def _replaced(
+        self, difference: Difference, transport: Transport | None = None, pairs: Pairs | None = None
+    ) -> "RenderedLoss":
+        """A loss with another difference, or of a part of the picture."""
+        made = RenderedLoss.__new__(RenderedLoss)
+        transport, pairs = transport or self.transport, pairs or self.pairs
+        made._set(difference, self.tone, self.reduction, self.scene_summary, self.mask, transport, pairs)
+        return made
+
+    def extra_repr(self) -> str:
+        """The difference, the scene and the reduction."""
+        tone = "" if self.tone is None else ", tone=..."
+        rest = super().extra_repr().split("reduction=")
+        reduction = f", reduction={rest[1]}" if len(rest) > 1 else ""
+        return f"{self.scene_summary!r}, {self.difference.registered_name!r}{tone}{reduction}"
 
     @property
     def registered_name(self) -> str:
@@ -67,7 +113,7 @@ class RenderedLoss(ObservedLoss):
         return self.difference
 
     @property
-    def curved(self) -> bool:
+    def has_majorizer(self) -> bool:
         """Whether the difference is a mean over pixels."""
         return isinstance(self.difference, PixelDifference)
 
@@ -89,23 +135,19 @@ class RenderedLoss(ObservedLoss):
             values = values[None]
         return self._on(values).pixels(values)
 
-    def columns(self, shapes: Tensor) -> Tensor:
+    def observe_basis(self, responses: Tensor) -> Tensor:
         """Pictures of scalar functions as each channel of the light shows them."""
-        return self._on(shapes).columns(shapes)
+        return self._on(responses).columns(responses)
 
-    def value(self, observed: Tensor, target: Tensor) -> Tensor:
+    def compare(self, observed: Tensor, target: Tensor) -> Tensor:
         """The difference's loss."""
         first, second = self._shown(observed, target), self._shown(target, target)
-        if self.curved:
+        if self.has_majorizer:
             return self.difference.loss(first[:, None], second[:, None]).double()
         picture = self.transport.picture
         return self.difference.loss(picture(first), picture(second), self.mask.to(observed.device)).double()
 
-    def figure(self, value: Tensor) -> Tensor:
-        """The root of a mean square; any other difference itself."""
-        return safe_sqrt(value) if self.curved and self._pixelwise.power == 2 else value
-
-    def parabola(self, observed: Tensor, target: Tensor, width: Tensor | None = None) -> Parabola:
+    def quadratic_majorizer(self, observed: Tensor, target: Tensor, width: Tensor | None = None) -> QuadraticModel:
         """Gauss and Newton's; of a mean length the parabola that touches it on both sides and is nowhere below it."""
         difference = self._pixelwise
 
@@ -135,27 +177,16 @@ class RenderedLoss(ObservedLoss):
             curve = torch.einsum("mpfc,mpfd->mpcd", jacobian, jacobian * factor[..., None, None])
             return penalty.double().mean(1), slope, curve
 
-    def stand_in(self) -> "RenderedLoss":
+    def surrogate(self) -> "RenderedLoss":
         """Itself, or the colour difference."""
-        return self if self.curved else self._with(difference=DIFFERENCES[_STAND_IN]())
+        return self if self.has_majorizer else self._replaced(DIFFERENCES[_SURROGATE]())
 
-    def thinned(self, problem: Problem) -> tuple["RenderedLoss", Problem]:
+    def subsample(self, problem: Problem) -> tuple["RenderedLoss", Problem]:
         """Some of the pixels, evenly spread over the directions that the surface faces."""
-        step = max(len(self.transport.index) // _FEW, 1)
+        step = max(len(self.transport.index) // _SUBSAMPLE, 1)
         transport, kept = self.transport.thinned(torch.arange(step // 2, len(self.transport.index), step))
-        loss = self.stand_in()._with(transport=transport, pairs=self.pairs.select(samples=kept))
+        loss = self.surrogate()._replaced(self.surrogate().difference, transport, self.pairs.select(samples=kept))
         return loss, problem.select(samples=kept)
-
-    def _with(self, **changes: Any) -> "RenderedLoss":
-        made = copy.copy(self)
-        for name, value in changes.items():
-            object.__setattr__(made, name, value)
-        made._round()
-        return made
-
-    def _round(self) -> None:
-        """Mean lengths have a cusp, rounded over widths in units of the difference from black."""
-        self.rounding = (0.1, 0.01, 0.001) if self.curved and self._pixelwise.power == 1 else (None,)  # type: ignore[misc]
 
     def _shown(self, pixels: Tensor, reference: Tensor) -> Tensor:
         """What is compared: linear radiance, or display values."""

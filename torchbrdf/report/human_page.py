@@ -19,7 +19,7 @@ from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
 
 TITLE = "Which BRDF metric agrees with people?"
-RIVALS = ("cuberoot", "compressed")
+RIVALS = ("cube_root", "compressed")
 THEIRS = "lagunas_"
 _THEIRS = {
     "lagunas_rms": "Lagunas' RMS",

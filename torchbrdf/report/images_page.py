@@ -12,7 +12,7 @@ from torchbrdf.experiment.labels import difference_label, loss_label, model_labe
 from torchbrdf.experiment.pictures import BRIGHTEST, DIFFERENCE, Pictures
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import ObservedLoss
+from torchbrdf.losses import ImageLoss
 from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import bars_figure, grid_figure
 from torchbrdf.report.tables import Column, Table, table
@@ -34,7 +34,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     """
     grid, folder = pictures.grid, pictures.grid.folder.path
     training, unseen = scenes
-    rendered = [name for name, loss in grid.losses.items() if isinstance(loss, ObservedLoss)]
+    rendered = [name for name, loss in grid.losses.items() if isinstance(loss, ImageLoss)]
     analytic = [name for name in grid.losses if name not in rendered]
     figure = folder / "figures" / "losses.png"
     means = {scene: {x: _values(pictures.seen(scene), x) for x in grid.losses} for scene in scenes}

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from torchbrdf.files import replacing
 
-COLORS = {"rms": "#c44e52", "cosine": "#dd8452", "cuberoot": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
+COLORS = {"rms": "#c44e52", "cosine_rms": "#dd8452", "cube_root": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
 # Of a mark, to an inch.
 LETTERS = 16
 _STYLE: Any = {

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.losses import Loss, ObservedLoss
+from torchbrdf.losses import ImageLoss, Loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.catalogue import is_merl
 from torchbrdf.pairs import Pairs
@@ -121,7 +121,7 @@ class EvaluatedBrdfs:
     pairs: Pairs | None
 
 
-def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ObservedLoss | None = None) -> EvaluatedBrdfs:
+def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ImageLoss | None = None) -> EvaluatedBrdfs:
     """Evaluate all BRDFs that people were asked about, once for all losses.
 
     Args:
@@ -157,7 +157,7 @@ def distances(
         loss: With reduction "none".
         prediction: `(K, n, 3)`.
         target: `(K, n, 3)`.
-        pairs: Those of the values, or None, where what is compared is what an ObservedLoss observes.
+        pairs: Those of the values, or None, where what is compared is what an ImageLoss observes.
         first: Places in `prediction`, `(P,)`.
         second: Places in `target`, `(P,)`.
 
@@ -175,9 +175,9 @@ def distances(
         for k in range(0, len(first), step):
             one, other = prediction[first[k : k + step]], target[second[k : k + step]]
             if pairs is None:
-                if not isinstance(loss, ObservedLoss):
+                if not isinstance(loss, ImageLoss):
                     raise UsageError(f"{type(loss).__name__}: compares values on pairs, but no pairs were given")
-                found[k : k + step] = loss.figure(loss.value(one, other))
+                found[k : k + step] = loss.finalize(loss.compare(one, other))
             else:
                 found[k : k + step] = loss(one, other, pairs)
     return found

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 
-TABLE_LOSSES = {"rms": "rms", "rms_cos": "cosine", "rms_cos_cube": "cuberoot"}
+TABLE_LOSSES = {"rms": "rms", "rms_cos": "cosine_rms", "rms_cos_cube": "cube_root"}
 """Names in the file, and the losses that they are: of their own grid of directions, on MERL's measured tables."""
 PICTURE_DISTANCES = ("dist_L2_lab", "dist_L4_lab")
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.losses.base import Loss
-from torchbrdf.losses.learned import ROWS, named
+from torchbrdf.losses.learned import ROWS, pack_weights
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
@@ -148,7 +148,7 @@ def best_iteration(histories: list[History]) -> int:
 def normalized_weights(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
     """Finished weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
     mean = training_set.distances(weights)[_usual(training_set)].mean()
-    return named(weights / mean.square())
+    return pack_weights(weights / mean.square())
 
 
 def baseline_distances(

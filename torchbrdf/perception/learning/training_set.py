@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.losses.learned import encode, soft_bins, terms
+from torchbrdf.losses.learned import encode, features, soft_bins
 from torchbrdf.perception.agreement.scores import BenchmarkData, EvaluatedBrdfs
 from torchbrdf.perception.agreement.statistics import DistanceComparisons, across_materials, majorities, same_material
 from torchbrdf.perception.datasets.opinions import Opinions
@@ -138,7 +138,7 @@ def terms_of(seen: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor
     one, other = encode(values, seen.pairs), encode(seen.materials, seen.pairs)
     bins = soft_bins(seen.pairs).to(one)
     parts = zip(first.split(_HELD), second.split(_HELD), strict=True)
-    found = [terms(one[i] - other[j], bins).double() for i, j in parts]
+    found = [features(one[i] - other[j], bins).double() for i, j in parts]
     return torch.cat(found)
 
 

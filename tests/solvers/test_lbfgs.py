@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from helpers.objectives import FromFunction
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize as scipy_minimize
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.fitting import Status, minimize
+from torchbrdf.solvers import Status, minimize_lbfgs
 
 
 def rosenbrock(x, rows):
@@ -49,7 +50,7 @@ def scipy_solution(objective, k, start, lower, upper):
 def test_two_hundred_bounded_problems_end_where_scipy_does():
     objective, lower, upper = quadratics(200, 6, seed=1)
     start = torch.zeros_like(lower)
-    found = minimize(objective, start, lower, upper)
+    found = minimize_lbfgs(FromFunction(objective), start, lower, upper)
     assert set(found.status) == {Status.CONVERGED}
     expected = [scipy_solution(objective, k, start[k], lower[k], upper[k]) for k in range(200)]
     np.testing.assert_allclose(found.value.numpy(), [e.fun for e in expected], rtol=1e-6, atol=1e-8)
@@ -61,7 +62,7 @@ def test_two_hundred_bounded_problems_end_where_scipy_does():
 @given(seed=st.integers(0, 10_000), size=st.integers(1, 8))
 def test_no_problem_ends_above_scipy(seed, size):
     objective, lower, upper = quadratics(5, size, seed)
-    found = minimize(objective, torch.zeros_like(lower), lower, upper)
+    found = minimize_lbfgs(FromFunction(objective), torch.zeros_like(lower), lower, upper)
     for k in range(5):
         expected = scipy_solution(objective, k, torch.zeros(size, dtype=torch.float64), lower[k], upper[k])
         assert found.value[k].item() <= expected.fun + 1e-6 * abs(expected.fun) + 1e-9
@@ -71,7 +72,7 @@ def test_no_problem_ends_above_scipy(seed, size):
 def test_a_curved_valley():
     start = torch.tensor([[-1.2, 1.0]] * 4, dtype=torch.float64)
     lower, upper = torch.full((2,), -5.0, dtype=torch.float64), torch.full((2,), 5.0, dtype=torch.float64)
-    found = minimize(rosenbrock, start, lower, upper)
+    found = minimize_lbfgs(FromFunction(rosenbrock), start, lower, upper)
     assert set(found.status) == {Status.CONVERGED}
     minimum = 1 + 0.01 * torch.arange(4.0, dtype=torch.float64)[:, None]
     torch.testing.assert_close(found.x, minimum.expand(4, 2), atol=1e-3, rtol=0)
@@ -79,12 +80,12 @@ def test_a_curved_valley():
 
 def test_problems_do_not_disturb_each_other():
     objective, lower, upper = quadratics(9, 4, seed=3)
-    together = minimize(objective, torch.zeros_like(lower), lower, upper)
+    together = minimize_lbfgs(FromFunction(objective), torch.zeros_like(lower), lower, upper)
 
     def alone(x, rows):
         return objective(x, rows + 4)
 
-    single = minimize(alone, torch.zeros(1, 4, dtype=torch.float64), lower[4:5], upper[4:5])
+    single = minimize_lbfgs(FromFunction(alone), torch.zeros(1, 4, dtype=torch.float64), lower[4:5], upper[4:5])
     assert torch.equal(together.x[4], single.x[0])
     assert together.iterations[4] == single.iterations[0]
 
@@ -96,7 +97,7 @@ def test_a_bad_problem_says_so_and_the_others_converge():
         value, gradient = objective(x, rows)
         return torch.where(rows == 1, torch.nan, value), gradient
 
-    found = minimize(broken, torch.zeros_like(lower), lower, upper)
+    found = minimize_lbfgs(FromFunction(broken), torch.zeros_like(lower), lower, upper)
     assert found.status == [Status.CONVERGED, Status.NOT_FINITE, Status.CONVERGED]
     assert torch.equal(found.x[1], torch.zeros(4, dtype=torch.float64))
 
@@ -106,17 +107,19 @@ def test_a_problem_without_descent_is_stalled_not_converged():
         return x[:, 0] ** 2 + 1, torch.full_like(x, -1.0)  # a gradient that is wrong at the minimum
 
     bound = torch.ones(1, dtype=torch.float64)
-    found = minimize(uphill, torch.zeros(1, 1, dtype=torch.float64), -bound, bound)
+    found = minimize_lbfgs(FromFunction(uphill), torch.zeros(1, 1, dtype=torch.float64), -bound, bound)
     assert found.status == [Status.STALLED]
 
 
 def test_an_unfinished_problem_says_so():
     bound = torch.full((2,), 5.0, dtype=torch.float64)
     start = torch.tensor([[-1.2, 1.0]], dtype=torch.float64)
-    assert minimize(rosenbrock, start, -bound, bound, max_iterations=3).status == [Status.MAX_ITERATIONS]
+    assert minimize_lbfgs(FromFunction(rosenbrock), start, -bound, bound, max_iterations=3).status == [
+        Status.MAX_ITERATIONS
+    ]
 
 
 def test_crossed_bounds_are_refused():
     one = torch.ones(1, 2, dtype=torch.float64)
     with pytest.raises(ShapeError, match="lower bound is above"):
-        minimize(rosenbrock, one, one, -one)
+        minimize_lbfgs(FromFunction(rosenbrock), one, one, -one)

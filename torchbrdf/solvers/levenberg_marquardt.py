@@ -1,52 +1,70 @@
 """Levenberg-Marquardt with bounds, for many problems at once."""
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.fitting.lbfgs import RESOLUTION, Solution, Status
-from torchbrdf.fitting.quadratic import Array, minimize_quadratic
-
-# Values (m,), gradients (m, P) and positive semi-definite matrices (m, P, P) at points (m, P) of these problems (m,).
-Quadratic = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+from torchbrdf.solvers.bounded_qp import Array, solve_bounded_qp
+from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
 SMALLEST, LARGEST = 1e-9, 1e9
 FLATTEST = 0.02
 
 
-def minimize_squares(
-    objective: Quadratic,
+def minimize_levenberg_marquardt(
+    objective: SecondOrder,
     start: Tensor,
     lower: Tensor,
     upper: Tensor,
     *,
     max_iterations: int = 100,
-    tolerance: float = 1e-8,
-    negligible: float = 1e-12,
+    ftol: float = 1e-8,
+    fmin: float = 1e-12,
     damping: float = 1e-3,
 ) -> Solution:
     """Minimise M independent functions of P variables within bounds, each near enough to its own parabola.
 
-    start, lower, upper: `(M, P)`, float64; bounds may be `(P,)`. Each step goes to the least of the damped parabola
-    within the bounds; each problem has its own damping and end, and those that have ended leave the batch. Where a
-    parabola promises less than comes about, as one does that lies above the function, it is made flatter. A problem
-    has converged when the undamped parabola promises no more than `tolerance` of its value plus `negligible`, or when
-    no step is better and it promises no more than 1e-6 of it; else it has stalled.
+    Each step goes to the least of the damped parabola within the bounds; each problem has its own damping and end, and
+    those that have ended leave the batch. Where a parabola promises less than comes about, as one does that lies above
+    the function, it is made flatter. A problem has converged when the undamped parabola promises no more than `ftol` of
+    its value plus `fmin`, or when no step is better and it promises no more than 1e-6 of it; else it has stalled.
+
+    Args:
+        objective: values, gradients and matrices.
+        start: where each problem begins, `(M, P)`, float64.
+        lower: bounds, `(M, P)` or `(P,)`.
+        upper: the same.
+        max_iterations: steps of each problem at most.
+        ftol: share of the value that is not worth another step.
+        fmin: a value that is as good as 0.
+        damping: at the start, in units of the matrix' diagonal.
+
+    Returns:
+        The best point of each problem.
+
+    Raises:
+        ShapeError: if a lower bound is above its upper bound.
 
     Source: K. Madsen, H. Nielsen, O. Tingleff, Methods for Non-linear Least Squares Problems, 2004, for the damping.
+
+    Example:
+        >>> class Parabola:
+        ...     def quadratic_model(self, x, rows):
+        ...         return (x - 2).square().sum(1), 2 * (x - 2), 2 * torch.ones_like(x)[..., None]
+        >>> zero, one = torch.zeros(3, 1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+        >>> minimize_levenberg_marquardt(Parabola(), zero, -one, one).x.flatten().tolist()
+        [1.0, 1.0, 1.0]
     """
     if not bool((lower <= upper).all()):
-        raise ShapeError("minimize_squares: a lower bound is above its upper bound")
+        raise ShapeError("minimize_levenberg_marquardt: a lower bound is above its upper bound")
     low, high = (bound.expand_as(start).cpu().numpy() for bound in (lower, upper))
     x = start.cpu().numpy().clip(low, high)
     problems = len(x)
 
     def evaluate(point: Array, rows: Array) -> tuple[Array, Array, Array]:
         there = (torch.from_numpy(part).to(start.device) for part in (point, rows))
-        value, gradient, matrix = (part.cpu().numpy() for part in objective(*there))
+        value, gradient, matrix = (part.cpu().numpy() for part in objective.quadratic_model(*there))
         return value, gradient, matrix
 
     rows = np.arange(problems)
@@ -68,14 +86,14 @@ def minimize_squares(
         room = low[rows] - x[rows], high[rows] - x[rows]
         curved = matrix[rows] * trust[rows, None, None]
         expected, step = _step(gradient[rows], curved, *room, lam[rows])
-        size = np.abs(value[rows]) + negligible
+        size = np.abs(value[rows]) + fmin
         stuck = lam[rows] >= LARGEST
-        ending = np.flatnonzero((expected <= 100 * tolerance * size) | stuck)
+        ending = np.flatnonzero((expected <= 100 * ftol * size) | stuck)
         if len(ending):
             at = rows[ending]
             undamped = np.full(len(at), SMALLEST)
             promise, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
-            done = promise <= tolerance * size[ending]
+            done = promise <= ftol * size[ending]
             minimum = done | (stuck[ending] & (promise <= RESOLUTION * size[ending]))
             finish(at[minimum], Status.CONVERGED)
             finish(at[stuck[ending] & ~minimum], Status.STALLED)
@@ -97,7 +115,7 @@ def minimize_squares(
         flatter = np.where(ratio > 1.1, trust[rows] / 2, trust[rows])
         trust[rows] = np.where(better, flatter, trust[rows] * 3).clip(FLATTEST, 1.0)
     count = torch.from_numpy(iterations)
-    return Solution(torch.from_numpy(x).to(start), torch.from_numpy(value).to(start), status, count, count + 1)
+    return Solution(torch.from_numpy(x).to(start), torch.from_numpy(value).to(start), status, count)
 
 
 def _finite(value: Array, gradient: Array, matrix: Array) -> Array:
@@ -111,6 +129,6 @@ def _step(gradient: Array, matrix: Array, low: Array, high: Array, damping: Arra
     floor = diagonal.max(-1, keepdims=True).clip(1e-300) * 1e-9
     damped = matrix.copy()
     np.einsum("rpp->rp", damped)[...] += np.maximum(diagonal, floor) * damping[:, None] + floor * 1e-3
-    step = minimize_quadratic(damped, gradient, low, high)
+    step = solve_bounded_qp(damped, gradient, low, high)
     gain: Array = -(gradient * step).sum(-1) - 0.5 * (step * (matrix @ step[..., None])[..., 0]).sum(-1)
     return gain, step

@@ -1,45 +1,13 @@
 """L-BFGS with projection onto bounds, for many problems at once."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import StrEnum
-
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-
-# Values (m,) and gradients (m, P) at points (m, P) of the problems with these indices (m,).
-Objective = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+from torchbrdf.solvers.status import RESOLUTION, FirstOrder, Solution, Status
 
 ARMIJO = 1e-4
 HALVINGS = 25
-# A search that fails ends at a minimum if no more than this is to be gained, relative to the value: in float32, or at
-# the kinks of a loss that has them, less cannot be had.
-RESOLUTION = 1e-6
-
-
-class Status(StrEnum):
-    """How a problem ended. Only CONVERGED is a minimum."""
-
-    CONVERGED = "converged"
-    MAX_ITERATIONS = "max_iterations"
-    STALLED = "stalled"
-    NOT_FINITE = "not_finite"
-    NO_DATA = "no_data"
-    TOO_FEW_SAMPLES = "too_few_samples"
-    BAD_START = "bad_start"
-
-
-@dataclass
-class Solution:
-    """The best point found for each of M problems, `(M, P)`, its value, status, and iterations spent, `(M,)`."""
-
-    x: Tensor
-    value: Tensor
-    status: list[Status]
-    iterations: Tensor
-    evaluations: Tensor
 
 
 class _Memory:
@@ -84,38 +52,63 @@ class _Memory:
         return d * free
 
 
-def minimize(
-    objective: Objective,
+def minimize_lbfgs(
+    objective: FirstOrder,
     start: Tensor,
     lower: Tensor,
     upper: Tensor,
     *,
     max_iterations: int = 300,
     memory: int = 40,
-    gradient_tolerance: float = 1e-6,
-    value_tolerance: float = 1e-9,
-    negligible: float = 1e-12,
+    gtol: float = 1e-6,
+    ftol: float = 1e-9,
+    fmin: float = 1e-12,
 ) -> Solution:
-    """Minimise M independent functions of P variables within bounds.
+    """Minimise M independent functions of P variables within bounds, by their gradients.
 
-    start, lower, upper: `(M, P)`, float64; bounds may be `(P,)`. Each problem has its own memory, line search and
-    end; those that have ended leave the batch, so that `objective` is called for ever fewer. A problem has converged
-    when no component of its projected gradient exceeds gradient_tolerance, or when neither a step nor another along the
-    gradient lowers its value by value_tolerance and no more is to be expected, all relative to the value's magnitude
-    plus `negligible`. A variable at a bound with the gradient pointing outward is held there during a step (Bertsekas
-    1982, doi:10.1137/0320018); L-BFGS as in Nocedal and Wright, Numerical Optimization, ch. 7.
+    Each problem has its own memory, line search and end; those that have ended leave the batch, so that `objective` is
+    called for ever fewer. A problem has converged when no component of its projected gradient exceeds gtol, or when
+    neither a step nor another along the gradient lowers its value by ftol and no more is to be expected, all relative
+    to the value's magnitude plus fmin.
+
+    Args:
+        objective: values and gradients.
+        start: where each problem begins, `(M, P)`, float64.
+        lower: bounds, `(M, P)` or `(P,)`.
+        upper: the same.
+        max_iterations: steps of each problem at most.
+        memory: steps that each problem remembers.
+        gtol: gradient that is as good as 0.
+        ftol: share of the value that is not worth another step.
+        fmin: a value that is as good as 0.
+
+    Returns:
+        The best point of each problem.
+
+    Raises:
+        ShapeError: if a lower bound is above its upper bound.
+
+    Source: a variable at a bound with the gradient pointing outward is held there during a step, D. Bertsekas, 1982,
+    doi:10.1137/0320018; L-BFGS as in Nocedal and Wright, Numerical Optimization, ch. 7.
+
+    Example:
+        >>> class Parabola:
+        ...     def value_and_gradient(self, x, rows):
+        ...         return (x - 2).square().sum(1), 2 * (x - 2)
+        >>> zero, one = torch.zeros(3, 1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+        >>> minimize_lbfgs(Parabola(), zero, -one, one).x.flatten().tolist()
+        [1.0, 1.0, 1.0]
     """
     lower, upper = lower.expand_as(start), upper.expand_as(start)
     if not bool((lower <= upper).all()):
-        raise ShapeError("minimize: a lower bound is above its upper bound")
+        raise ShapeError("minimize_lbfgs: a lower bound is above its upper bound")
     problems = start.shape[0]
     x = start.clamp(lower, upper)
     everyone = torch.arange(problems, device=start.device)
-    value, gradient = objective(x, everyone)
+    value, gradient = objective.value_and_gradient(x, everyone)
     history = _Memory(min(memory, max(10, x.shape[1])), problems, x)
     status = [Status.MAX_ITERATIONS] * problems
     iterations = torch.zeros(problems, dtype=torch.long)
-    evaluations = torch.ones(problems, dtype=torch.long)
     fresh = torch.ones(problems, dtype=torch.bool, device=x.device)  # memory empty: nothing left to forget
 
     def finish(rows: Tensor, ended: Tensor, why: Status) -> Tensor:
@@ -125,9 +118,9 @@ def minimize(
 
     rows = finish(everyone, ~(value.isfinite() & gradient.isfinite().all(-1)), Status.NOT_FINITE)
     for _ in range(max_iterations):
-        size = value.abs() + negligible
+        size = value.abs() + fmin
         projected = (x - gradient / size[:, None]).clamp(lower, upper) - x
-        rows = finish(rows, projected[rows].abs().amax(-1) <= gradient_tolerance, Status.CONVERGED)
+        rows = finish(rows, projected[rows].abs().amax(-1) <= gtol, Status.CONVERGED)
         if not len(rows):
             break
         x0, f0, g0, low, high = x[rows], value[rows], gradient[rows], lower[rows], upper[rows]
@@ -137,15 +130,14 @@ def minimize(
         if bool(uphill.any()):
             history.forget(rows[uphill])
             direction[uphill] = history.direction(rows[uphill], g0[uphill], (~held[uphill]).to(x))
-        x1, f1, g1, accepted, tries, promise = _line_search(objective, rows, x0, f0, g0, direction, low, high)
-        evaluations[rows.cpu()] += tries.cpu()
+        x1, f1, g1, accepted, promise = _line_search(objective, rows, x0, f0, g0, direction, low, high)
         iterations[rows.cpu()] += 1
         done = rows[accepted]
         x[done], value[done], gradient[done] = x1[accepted], f1[accepted], g1[accepted]
         history.push(done, (x1 - x0)[accepted], (g1 - g0)[accepted])
         # A search that fails or gains nothing is tried once more along the gradient, with an empty memory.
         gained = torch.zeros_like(accepted)
-        gained[accepted] = (f0 - f1)[accepted] > value_tolerance * size[rows][accepted]
+        gained[accepted] = (f0 - f1)[accepted] > ftol * size[rows][accepted]
         ended = ~gained & fresh[rows]
         history.forget(rows[~gained])
         fresh[rows] = ~gained
@@ -153,27 +145,32 @@ def minimize(
         finish(rows, ended & minimum, Status.CONVERGED)
         finish(rows, ended & ~minimum, Status.STALLED)
         rows = rows[~ended]
-    return Solution(x, value, status, iterations, evaluations)
+    return Solution(x, value, status, iterations)
 
 
 def _line_search(
-    objective: Objective, rows: Tensor, x0: Tensor, f0: Tensor, g0: Tensor, direction: Tensor, low: Tensor, high: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    objective: FirstOrder,
+    rows: Tensor,
+    x0: Tensor,
+    f0: Tensor,
+    g0: Tensor,
+    direction: Tensor,
+    low: Tensor,
+    high: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Backtracking along the projected direction until the value falls enough; each problem on its own.
 
-    Gives the points, values, gradients, whether they are accepted, the tries, and what a parabola through the value,
+    Gives the points, values, gradients, whether they are accepted, and what a parabola through the value,
     the slope, and the nearest clearly higher value tried promises to gain.
     """
     x1, f1, g1 = x0.clone(), f0.clone(), g0.clone()
     accepted = torch.zeros(len(rows), dtype=torch.bool, device=x0.device)
-    tries = torch.zeros(len(rows), dtype=torch.long, device=x0.device)
     promise = torch.zeros_like(f0)
     step = torch.ones_like(f0)
     left = torch.arange(len(rows), device=x0.device)
     for _ in range(HALVINGS):
         point = (x0[left] + step[left, None] * direction[left]).clamp(low[left], high[left])
-        value, gradient = objective(point, rows[left])
-        tries[left] += 1
+        value, gradient = objective.value_and_gradient(point, rows[left])
         slope = (g0[left] * (point - x0[left])).sum(-1)
         good = value.isfinite() & gradient.isfinite().all(-1) & (value <= f0[left] + ARMIJO * slope) & (slope < 0)
         x1[left[good]], f1[left[good]], g1[left[good]] = point[good], value[good], gradient[good]
@@ -187,4 +184,4 @@ def _line_search(
         left = left[~good]
         if not len(left):
             break
-    return x1, f1, g1, accepted, tries, promise
+    return x1, f1, g1, accepted, promise

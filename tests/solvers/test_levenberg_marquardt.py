@@ -1,45 +1,13 @@
-"""The solvers for parabolas and for sums of squares beside scipy's, on the same bounded problems."""
+"""Levenberg-Marquardt beside scipy's solver, on the same bounded problems."""
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.optimize import least_squares, lsq_linear
+from helpers.objectives import FromFunction
+from scipy.optimize import least_squares
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.fitting import Status, minimize_quadratic, minimize_squares
-
-
-def linear(count, size, seed, samples=20):
-    """Least-squares problems, matrices and right sides, in boxes many of whose bounds are active."""
-    random = np.random.default_rng(seed)
-    matrix, right = random.normal(size=(count, samples, size)), 3 * random.normal(size=(count, samples))
-    return matrix, right, -random.random((count, size)) * 0.3, random.random((count, size)) * 0.3
-
-
-@settings(max_examples=20, deadline=None)
-@given(size=st.integers(1, 9), seed=st.integers(0, 10_000))
-def test_parabolas_end_where_scipy_does(size, seed):
-    matrix, right, lower, upper = linear(20, size, seed)
-    gram, slope = np.einsum("kni,knj->kij", matrix, matrix), -np.einsum("kni,kn->ki", matrix, right)
-    found = minimize_quadratic(gram, slope, lower, upper)
-    assert ((found >= lower) & (found <= upper)).all()
-    for k in range(20):
-        expected = lsq_linear(matrix[k], right[k], (lower[k], upper[k]), method="bvls", tol=1e-14)
-        np.testing.assert_allclose(found[k], expected.x, atol=1e-8)
-
-
-def test_parabolas_of_any_leading_shape_and_singular_ones():
-    matrix, right, lower, upper = linear(6, 4, 0)
-    gram, slope = np.einsum("kni,knj->kij", matrix, matrix), -np.einsum("kni,kn->ki", matrix, right)
-    flat = minimize_quadratic(gram, slope, lower, upper)
-    shaped = minimize_quadratic(*(part.reshape(2, 3, *part.shape[1:]) for part in (gram, slope, lower, upper)))
-    np.testing.assert_array_equal(shaped.reshape(6, 4), flat)
-    gram[0] = 0
-    gram[1] = np.nan
-    assert np.isfinite(minimize_quadratic(gram, slope, lower, upper)).all()
-    np.testing.assert_array_equal(minimize_quadratic(gram, slope, lower, upper)[2:], flat[2:])
+from torchbrdf.solvers import Status, minimize_levenberg_marquardt
 
 
 def curves(count, seed, samples=60):
@@ -71,7 +39,9 @@ def curves(count, seed, samples=60):
 def test_three_hundred_bounded_problems_end_where_scipy_does():
     objective, residual, lower, upper = curves(300, 1)
     start = torch.tensor([[1.0, 1.0, 0.5]], dtype=torch.float64).expand(300, 3)
-    found = minimize_squares(objective, start, torch.from_numpy(lower), torch.from_numpy(upper), tolerance=1e-12)
+    found = minimize_levenberg_marquardt(
+        FromFunction(objective), start, torch.from_numpy(lower), torch.from_numpy(upper), ftol=1e-12
+    )
     assert set(found.status) == {Status.CONVERGED}
     for k in range(300):
         expected = least_squares(residual, start[k].numpy(), bounds=(lower, upper), args=(k,), xtol=1e-12, ftol=1e-12)
@@ -84,9 +54,9 @@ def test_a_problem_does_not_depend_on_its_batch_mates():
     objective, _, lower, upper = curves(12, 2)
     start = torch.tensor([[1.0, 1.0, 0.5]], dtype=torch.float64).expand(12, 3)
     box = torch.from_numpy(lower), torch.from_numpy(upper)
-    together = minimize_squares(objective, start, *box)
+    together = minimize_levenberg_marquardt(FromFunction(objective), start, *box)
     for k in (0, 5, 11):
-        alone = minimize_squares(lambda x, rows, k=k: objective(x, rows + k), start[:1], *box)
+        alone = minimize_levenberg_marquardt(FromFunction(lambda x, rows, k=k: objective(x, rows + k)), start[:1], *box)
         torch.testing.assert_close(alone.x[0], together.x[k], rtol=0, atol=1e-12)
 
 
@@ -103,12 +73,12 @@ def test_each_problem_says_how_it_ended():
 
     start = torch.ones(4, 2, dtype=torch.float64)
     bound = torch.full((2,), 5.0, dtype=torch.float64)
-    found = minimize_squares(objective, start, -bound, bound, max_iterations=60)
+    found = minimize_levenberg_marquardt(FromFunction(objective), start, -bound, bound, max_iterations=60)
     assert found.status[:3] == [Status.CONVERGED, Status.NOT_FINITE, Status.STALLED]
     assert found.status[3] in (Status.MAX_ITERATIONS, Status.CONVERGED)
     torch.testing.assert_close(found.x[0], torch.zeros(2, dtype=torch.float64), atol=1e-4, rtol=0)
     assert torch.equal(found.x[2], start[2])
-    few = minimize_squares(objective, start, -bound, bound, max_iterations=2)
+    few = minimize_levenberg_marquardt(FromFunction(objective), start, -bound, bound, max_iterations=2)
     assert few.status[3] == Status.MAX_ITERATIONS
 
 
@@ -121,7 +91,7 @@ def test_a_parabola_that_lies_above_is_made_flatter():
         return square ** (1 / 3), (curve * (x[:, 0] - 1))[:, None], curve[:, None, None]
 
     start, bound = torch.full((1, 1), 4.0, dtype=torch.float64), torch.full((1,), 9.0, dtype=torch.float64)
-    found = minimize_squares(objective, start, -bound, bound)
+    found = minimize_levenberg_marquardt(FromFunction(objective), start, -bound, bound)
     assert found.status == [Status.CONVERGED] and found.iterations.item() < 30
     torch.testing.assert_close(found.x, torch.ones_like(found.x), atol=1e-3, rtol=0)
 
@@ -129,4 +99,4 @@ def test_a_parabola_that_lies_above_is_made_flatter():
 def test_bounds_the_wrong_way_round_are_refused():
     one = torch.ones(1, 1, dtype=torch.float64)
     with pytest.raises(ShapeError, match="lower bound is above"):
-        minimize_squares(lambda x, rows: (x[:, 0], x, x[..., None]), one, one, -one)
+        minimize_levenberg_marquardt(FromFunction(lambda x, rows: (x[:, 0], x, x[..., None])), one, one, -one)

@@ -5,25 +5,38 @@ import numpy as np
 Array = np.ndarray
 
 
-def minimize_quadratic(matrix: Array, slope: Array, lower: Array, upper: Array) -> Array:
-    """The points `(..., P)` within bounds where slope p + p matrix p / 2 is least.
+def solve_bounded_qp(matrix: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """The points within bounds where gradient p + p matrix p / 2 is least.
 
-    matrix: `(..., P, P)`, symmetric, positive definite; slope, lower, upper: `(..., P)`; float64. In numpy, whose
-    calls cost a fifth of torch's on arrays so small. Block principal pivoting: variables that leave their bounds are
-    put on them, those that a bound no longer holds are released, all at once, until nothing changes (J. Portugal,
-    J. Judice, L. Vicente, A Comparison of Block Pivoting and Interior-Point Algorithms for Linear Least Squares
-    Problems with Nonnegative Variables, 1994, doi:10.1090/S0025-5718-1994-1250776-4). Where that cycles the last
-    point, clamped, stands: it is within the bounds, but may be not quite the least.
+    In numpy, whose calls cost a fifth of torch's on arrays so small. Block principal pivoting: variables that leave
+    their bounds are put on them, those that a bound no longer holds are released, all at once, until nothing changes.
+    Where that cycles the last point, clamped, stands: it is within the bounds, but may be not quite the least.
+
+    Args:
+        matrix: `(..., P, P)`, symmetric, positive definite, float64.
+        gradient: at 0, `(..., P)`.
+        lower: bounds, `(..., P)`.
+        upper: the same.
+
+    Returns:
+        The points, `(..., P)`; 0, clamped, where a matrix is singular or not finite.
+
+    Source: L. Portugal, J. Judice, L. Vicente, A Comparison of Block Pivoting and Interior-Point Algorithms for Linear
+    Least Squares Problems with Nonnegative Variables, 1994, doi:10.1090/S0025-5718-1994-1250776-4.
+
+    Example:
+        >>> solve_bounded_qp(np.eye(2), np.array([-3.0, 0.5]), np.zeros(2), np.ones(2)).tolist()
+        [1.0, 0.0]
     """
-    size, shape = matrix.shape[-1], slope.shape
-    matrix, slope = matrix.reshape(-1, size, size), slope.reshape(-1, size)
+    size, shape = matrix.shape[-1], gradient.shape
+    matrix, gradient = matrix.reshape(-1, size, size), gradient.reshape(-1, size)
     lower, upper = (np.broadcast_to(bound, shape).reshape(-1, size) for bound in (lower, upper))
-    point = solved(matrix, -slope)
+    point = solved(matrix, -gradient)
     inside = ((point >= lower) & (point <= upper)).all(-1)
     if inside.all():
         return point.reshape(shape)
     rows = np.flatnonzero(~inside)
-    point[rows] = _pivot(matrix[rows], slope[rows], lower[rows], upper[rows])
+    point[rows] = _pivot(matrix[rows], gradient[rows], lower[rows], upper[rows])
     return point.reshape(shape)
 
 
@@ -39,14 +52,14 @@ def solved(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(found, posinf=0.0, neginf=0.0)
 
 
-def _pivot(matrix: Array, slope: Array, lower: Array, upper: Array) -> Array:
+def _pivot(matrix: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     size = matrix.shape[-1]
-    point = np.zeros_like(slope)
-    side = np.zeros_like(slope)  # -1 on the lower bound, 1 on the upper one, 0 free
-    rows = np.arange(len(slope))
+    point = np.zeros_like(gradient)
+    side = np.zeros_like(gradient)  # -1 on the lower bound, 1 on the upper one, 0 free
+    rows = np.arange(len(gradient))
     identity = np.eye(size)
     for k in range(3 * size + 3):
-        a, b, low, high, where = matrix[rows], slope[rows], lower[rows], upper[rows], side[rows]
+        a, b, low, high, where = matrix[rows], gradient[rows], lower[rows], upper[rows], side[rows]
         free = where == 0
         fixed = np.where(where < 0, low, np.where(where > 0, high, 0.0))
         right = np.where(free, -(b + (a @ fixed[..., None])[..., 0]), 0.0)

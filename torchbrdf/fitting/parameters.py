@@ -1,0 +1,160 @@
+"""The parameters of a model: as a dictionary, and as the vector that a solver moves."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from torchbrdf.lobes import BoundedParameter, Lambert, Lobe, Sum
+from torchbrdf.pairs import Pairs
+
+# Values for M materials, `(M, *shape)`, or `(M, 1)` where one number serves all channels, by the names that the model's
+# `named_parameters` have, such as "lobes.1.roughness".
+ParameterDict = dict[str, Tensor]
+
+
+def component_names(model: Lobe) -> list[dict[str, str]]:
+    """Of each component of a model the full names of its parameters, by their own."""
+    prefixes = {id(module): name for name, module in model.named_modules()}
+    found = []
+    for part in model.components():
+        prefix = prefixes[id(part)]
+        found.append({name: f"{prefix}.{name}" if prefix else name for name in part.parameter_specs})
+    return found
+
+
+def named_specs(model: Lobe) -> dict[str, BoundedParameter]:
+    """What a model declares of each parameter, by full name, component after component."""
+    names = component_names(model)
+    return {
+        full: part.parameter_specs[name]
+        for part, own in zip(model.components(), names, strict=True)
+        for name, full in own.items()
+    }
+
+
+def diffuse_components(model: Lobe) -> list[int]:
+    """Which components are diffuse."""
+    return [k for k, part in enumerate(model.components()) if isinstance(part, Lambert)]
+
+
+def specular_components(model: Lobe) -> list[int]:
+    """Which are not."""
+    return [k for k, part in enumerate(model.components()) if not isinstance(part, Lambert)]
+
+
+def get_parameters(model: Lobe) -> ParameterDict:
+    """The parameters of a model, detached."""
+    own = dict(model.named_parameters())
+    return {name: own[name].detach() for name in named_specs(model)}
+
+
+def with_parameters(model: Lobe, values: ParameterDict) -> Lobe:
+    """A copy of a model with these parameters, where a single number is spread over the channels."""
+    made = copy.deepcopy(model)
+    specs = named_specs(made)
+    for name, parameter in made.named_parameters():
+        value = values[name]
+        parameter.data = value.expand(len(value), *specs[name].shape).to(parameter).clone()
+    return made
+
+
+def take(values: ParameterDict, rows: Tensor | list[int] | slice) -> ParameterDict:
+    """The parameters of some materials, by index."""
+    return {name: value[rows] for name, value in values.items()}
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that a solver moves: its full name, its component, what it declares, and how many numbers it moves.
+
+    A width of 1 moves a colour as one number.
+    """
+
+    name: str
+    component: int
+    spec: BoundedParameter
+    width: int
+
+    def encode(self, values: ParameterDict) -> Tensor:
+        """Its values as the solver sees them, `(M, width)`, float64."""
+        value = values[self.name].to(torch.float64).flatten(1)
+        if self.width == 1 and value.shape[1] > 1:
+            value = value.mean(1, keepdim=True)
+        return self._scaled(value.expand(-1, self.width).clamp(self.spec.lower, self.spec.upper))
+
+    def decode(self, x: Tensor, dtype: torch.dtype) -> Tensor:
+        """From the solver's numbers to the parameter, `(M, *shape)` or `(M, 1)`."""
+        value = (x.exp() if self.spec.log else x).to(dtype)
+        return value if self.width != self.spec.size else value.reshape(-1, *self.spec.shape)
+
+    def limits(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper bounds as the solver sees them, `(width,)`."""
+        both = torch.tensor([[self.spec.lower], [self.spec.upper]], dtype=torch.float64).expand(-1, self.width)
+        lower, upper = self._scaled(both)
+        return lower, upper
+
+    def _scaled(self, value: Tensor) -> Tensor:
+        return value.log() if self.spec.log else value
+
+
+def free_parameters(model: Lobe, components: Sequence[int], *, scalar_albedo: bool = False) -> list[FreeParameter]:
+    """All parameters of some components; scalar_albedo: with one number in the place of each colour's three."""
+    names, parts = component_names(model), model.components()
+    return [
+        FreeParameter(full, k, spec, 1 if scalar_albedo and spec.linear and spec.shape == (3,) else spec.size)
+        for k in components
+        for (_, full), spec in zip(names[k].items(), parts[k].parameter_specs.values(), strict=True)
+    ]
+
+
+class Parametrization:
+    """Which parameters of a model a solver moves, as a vector of P numbers; the others are held.
+
+    Args:
+        model: what they are of.
+        free: what is moved, in the order of the vector.
+        components: those of the model that are present; None: all.
+    """
+
+    def __init__(self, model: Lobe, free: Sequence[FreeParameter], components: Sequence[int] | None = None) -> None:
+        self.model, self.free = model, list(free)
+        self.components = list(range(len(model.components()))) if components is None else list(components)
+
+    def encode(self, values: ParameterDict) -> Tensor:
+        """The vector of each material, `(M, P)`, float64."""
+        return torch.cat([one.encode(values) for one in self.free], 1)
+
+    def decode(self, x: Tensor, dtype: torch.dtype) -> ParameterDict:
+        """The free parameters of vectors `(M, P)`."""
+        parts = x.split([one.width for one in self.free], 1)
+        return {one.name: one.decode(part, dtype) for one, part in zip(self.free, parts, strict=True)}
+
+    def limits(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper bounds of the vector, `(P,)` each."""
+        both = [one.limits() for one in self.free]
+        return torch.cat([low for low, _ in both]), torch.cat([high for _, high in both])
+
+    def predict(self, values: ParameterDict, pairs: Pairs) -> Tensor:
+        """What the present components add up to, `(M, N, 3)`, or `(M, N, 1)` where all are one number for all."""
+        own = {short: values[full] for short, full in self._own_names.items()}
+        found: Tensor = functional_call(self._present, own, (pairs,))
+        return found
+
+    @cached_property
+    def _present(self) -> Sum:
+        parts = self.model.components()
+        return Sum(*(parts[k] for k in self.components))
+
+    @cached_property
+    def _own_names(self) -> dict[str, str]:
+        """Full names by those in the sum of the present components."""
+        names = component_names(self.model)
+        there = component_names(self._present)
+        return {
+            short: names[k][name] for k, own in zip(self.components, there, strict=True) for name, short in own.items()
+        }

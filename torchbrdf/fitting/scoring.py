@@ -1,0 +1,142 @@
+"""Errors of fitted models on every valid sample, and the paper's test for local minima."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from torchbrdf.fitting.basis import predictor
+from torchbrdf.fitting.objective import channels
+from torchbrdf.fitting.parameters import get_parameters, take, with_parameters
+from torchbrdf.fitting.sampling import chunked
+from torchbrdf.lobes import Lobe
+from torchbrdf.losses import Loss, Problem
+from torchbrdf.measured import Measured
+from torchbrdf.parallel import process_map, thread_map
+
+# Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
+MEMORY = 4_000_000
+# The same on a GPU, where one batch at a time is best.
+GPU_MEMORY = 400_000_000
+# Pairs times materials above which processes are worth their start.
+PROCESS_THRESHOLD = 500_000
+
+Result = TypeVar("Result")
+
+
+def material_batches(measured: Measured) -> Iterator[list[int]]:
+    """Materials in batches: as many for each thread, and no more than the memory budget allows."""
+    materials, pairs = len(measured), max(len(measured.pairs), 1)
+    if measured.device.type == "cuda":
+        size = max(1, GPU_MEMORY // pairs)
+    else:
+        threads = torch.get_num_threads()
+        rounds = max(1, -(-materials // (max(1, MEMORY // pairs) * threads)))
+        size = max(1, -(-materials // (rounds * threads * 2)))
+    for first in range(0, materials, size):
+        yield list(range(first, min(first + size, materials)))
+
+
+def parallel_map(function: Callable[[list[int]], Result], measured: Measured) -> Iterator[Result]:
+    """`function` of batches of materials, on all cores."""
+    run = (
+        process_map
+        if len(measured) * len(measured.pairs) > PROCESS_THRESHOLD and measured.device.type == "cpu"
+        else thread_map
+    )
+    yield from run(function, list(material_batches(measured)))
+
+
+def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
+    """The errors of fitted models on every sample.
+
+    Args:
+        model: batched, one for each of M materials.
+        measured: the materials.
+        losses: L of them.
+
+    Returns:
+        The error of each model under each loss, `(L, M)`, float64.
+
+    Example:
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import load, standins
+        >>> measured = load(standins()).batch([0, 1], torch.arange(0, 900_000, 1000))
+        >>> score(make_model("ward").batched(2), measured, [RMSLoss()]).shape
+        torch.Size([1, 2])
+    """
+    return cross_score([model], measured, losses)[:, 0]
+
+
+def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Loss]) -> Tensor:
+    """The errors of several models of the same materials; every sample is read once.
+
+    Args:
+        models: K of them, batched, each with one model for each of M materials.
+        measured: the materials.
+        losses: L of them.
+
+    Returns:
+        The error of each model under each loss, `(L, K, M)`, float64.
+
+    Example:
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import load, standins
+        >>> measured = load(standins()).batch([0], torch.arange(0, 900_000, 1000))
+        >>> models = [make_model("ward", lobes).batched(1) for lobes in (1, 2, 3)]
+        >>> cross_score(models, measured, [RMSLoss()]).shape
+        torch.Size([1, 3, 1])
+    """
+    own = [get_parameters(model) for model in models]
+
+    def score_some(rows: list[int]) -> Tensor:
+        part = measured.batch(rows)
+        fitted = [with_parameters(model, take(values, rows)) for model, values in zip(models, own, strict=True)]
+        separable = [loss for loss in losses if loss.separable]
+        found = {}
+        if separable:
+            problem = separable[0].problem(part)
+            found = dict(zip(map(id, separable), errors(fitted, problem, separable), strict=True))
+        for loss in losses:
+            if id(loss) not in found:
+                found[id(loss)] = errors(fitted, loss.problem(part), [loss])[0]
+        return torch.stack([found[id(loss)] for loss in losses])
+
+    return torch.cat(list(parallel_map(score_some, measured)), -1)
+
+
+def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:
+    """The errors of batched models under some losses, `(L, K, M)`, float64, on the CPU."""
+    pairs, target, weight = problem.pairs, problem.target, problem.weight
+    if not all(loss.separable for loss in losses):
+        found = [[loss.error(model(pairs), target, pairs, weight).double() for model in models] for loss in losses]
+        return torch.stack([torch.stack(row) for row in found]).cpu()
+    sums = torch.zeros(len(losses), len(models), len(target), dtype=torch.float64, device=target.device)
+    totals = torch.zeros_like(sums[:, 0])
+    predictors = [predictor(model) for model in models]
+    for part, own in chunked(pairs, len(target)):
+        wanted = target[:, part].mT.contiguous()
+        predictions = [predict(own).expand_as(wanted) for predict in predictors]
+        for k, loss in enumerate(losses):
+            counted = channels.effective_weight(loss, own, None if weight is None else weight[:, part])
+            full = torch.ones_like(wanted[:1, :1]) if counted is None else counted
+            totals[k] += full.expand(-1, 3, -1).sum((1, 2), dtype=torch.float64)
+            encoded = channels.encode(loss, wanted, own)
+            for b, prediction in enumerate(predictions):
+                penalty = loss.penalty(channels.encode(loss, prediction, own) - encoded)
+                sums[k, b] += (penalty if counted is None else penalty * counted).sum((1, 2)).double()
+    means = sums / totals[:, None]
+    return torch.stack([loss.finalize(mean) for loss, mean in zip(losses, means, strict=True)]).cpu()
+
+
+def local_minima(cross: Tensor, tolerance: float = 1e-4) -> Tensor:
+    """The paper's test: which fits another loss's parameters beat.
+
+    cross: `(L, L, M)`, the error under loss a of the parameters found under loss b, at [a, b]. A fit under a is an
+    outlier, stuck in a local minimum, if some b has a lower error there by more than `tolerance`, relative: `(L, M)`.
+    """
+    own = torch.diagonal(cross, dim1=0, dim2=1).T
+    return cross.amin(1) < own * (1 - tolerance)
