@@ -114,14 +114,25 @@ def test_docstring_examples(name: str, tmp_path: Path, monkeypatch: pytest.Monke
     assert runner.tries
 
 
+def prose(path: Path) -> str:
+    """A page without its fenced blocks, whose lines are left empty."""
+    text = path.read_text(encoding="utf-8")
+    return re.sub(r"^```.*?^```$", lambda block: "\n" * block[0].count("\n"), text, flags=re.MULTILINE | re.DOTALL)
+
+
 def commands(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """The command lines of torchbrdf in the shell blocks of a page, and of README's whole lines."""
+    """The command lines of torchbrdf in the shell blocks of a page, and the runs that its sentences name."""
+    lines = []
     for line, block in blocks(path, "sh"):
         for number, text in enumerate(block.splitlines(), start=line + 1):
-            for part in text.split("&&"):
-                words = shlex.split(part, comments=True)
-                if words[:1] == ["torchbrdf"]:
-                    yield number, words[1:]
+            lines += [(number, part) for part in text.split("&&")]
+    text = prose(path)
+    for found in re.finditer(r"`(torchbrdf run [^`]+)`", text):
+        lines.append((text[: found.start()].count("\n") + 1, found[1]))
+    for number, text in lines:
+        words = shlex.split(text, comments=True)
+        if words[:1] == ["torchbrdf"]:
+            yield number, words[1:]
 
 
 def listed(registry: Registry[Any], name: str) -> None:
@@ -165,8 +176,7 @@ def test_there_is_something_to_run() -> None:
 @pytest.mark.parametrize("path", PAGES, ids=page)
 def test_links_lead_somewhere(path: Path) -> None:
     """In the repository as it is; the site's own links are checked by `mkdocs build --strict`."""
-    prose = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose):
+    for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(path)):
         if re.match(r"\w+:", link) or re.match(r"(\.\./)?examples/\w+\.md", link):  # made from the scripts
             continue
         assert (path.parent / link).exists(), f"{page(path)}: {link} leads nowhere"
