@@ -22,8 +22,26 @@ SIZE = 4
 class Batches:
     """Fit one model under one loss to any number of materials, with `fits.json` and `fits.csv` in a folder.
 
-    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again; other settings
-    are a DataError, so that nothing is mixed. out: the folder, or None to write nothing. Settings are those of `fit`.
+    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again.
+
+    Args:
+        model: as of `fit`.
+        loss: as of `fit`.
+        out: the folder; None: nothing is written.
+        settings: the other arguments of `fit`.
+
+    Raises:
+        DataError: if the folder holds fits with other settings, so that nothing is mixed.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.lobes import make_model
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import load, standins
+        >>> some = load(standins()).batch([0, 6], torch.arange(0, 900_000, 1000))
+        >>> records = Batches(make_model("ward", 1), RMSLoss(), samples=None).run([some])
+        >>> [record["material"] for record in records]
+        ['alum-bronze', 'nickel']
     """
 
     def __init__(
