@@ -63,7 +63,7 @@ def _finite(value: Any) -> Any:
 
 
 def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Rows as CSV: a line a row, a column for each key that any row has, in the order in which they first appear.
+    r"""Rows as CSV: a line a row, a column for each key that any row has, in the order in which they first appear.
 
     Example:
         >>> csv_text([{"name": "nickel", "error": 0.5}, {"name": "nylon"}])

@@ -11,7 +11,7 @@ import torch
 from helpers.known_models import COLORED, SHAPES, Made, assert_within_bounds, measured_from, some_pairs, two_lobes
 
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.fitting import Batches, GlobalSearch, Status, fit, score, stratified
+from torchbrdf.fitting import Batches, FitResult, GlobalSearch, Status, fit, score, stratified
 from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters, take
@@ -263,6 +263,17 @@ def test_batches_are_taken_up_where_they_stopped(tmp_path, monkeypatch):
             Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **{**options, **change})
     with pytest.raises(DataError, match="loss"):
         Batches(make_model("ward", 1), CubeRootLoss(), out=tmp_path, **options)
+
+
+def test_fits_of_before_are_known_by_the_names_that_losses_had(tmp_path):
+    measured = measured_from(two_lobes("ward"), some_pairs(300))
+    made = Batches(make_model("ward", 1), CosineRMSLoss(), out=tmp_path, samples=None).run([measured])
+    path = tmp_path / "fits.json"
+    path.write_text(path.read_text().replace('"cosine_rms"', '"cosine"'))
+    assert FitResult.load(path).loss == made[0]["loss"] == "cosine_rms"
+    assert Batches(make_model("ward", 1), CosineRMSLoss(), out=tmp_path, samples=None).done.keys() == {
+        measured.names[0]
+    }
 
 
 # --- processes ----------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from torchbrdf.fitting.parameters import (
     with_parameters,
 )
 from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum, make_model
-from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Loss, Problem, RMSLoss
+from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Loss, Problem, RMSLoss, derivatives
 from torchbrdf.pairs import Pairs
 
 KINDS = ("all", "scalar", "colors")
@@ -152,6 +152,9 @@ def test_derivatives_of_a_loss(name):
     other = torch.linspace(-4, 4, 81, dtype=torch.float64)[None, None, :]
     parabola = penalty + slope * (other - d) + 0.5 * curve * (other - d) ** 2
     assert (parabola >= loss.penalty_with_derivatives(other, width)[0] - 1e-12).all()
+    general = derivatives.penalty_with_derivatives(loss, d.detach(), width)
+    for one, closed in zip(general, (penalty, slope, curve), strict=True):
+        torch.testing.assert_close(one, closed.detach().expand_as(one), rtol=1e-6, atol=1e-9)
 
 
 def test_the_last_smoothing_hardly_changes_an_error():

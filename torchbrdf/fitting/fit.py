@@ -139,19 +139,7 @@ def fit(
     for found in parallel_map(fit_some, measured):
         done.append(found)
         progress(sum(len(one.error) for one in done), len(measured))
-    status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
-    error = torch.cat([found.error for found in done])
-    for k, count in enumerate(torch.cat([found.counts for found in done]).tolist()):
-        if k in reasons:
-            status[k] = Status.BAD_START
-        elif count == 0:
-            status[k], reasons[k] = Status.NO_DATA, f"no valid sample within {max_theta:g} degrees"
-        elif not error[k].isfinite():
-            status[k], reasons[k] = Status.NOT_FINITE, f"the error is {error[k].item():g}"
-        elif count < free:
-            status[k], reasons[k] = Status.TOO_FEW_SAMPLES, f"{count} valid values for {free} parameters"
-        elif status[k] != Status.CONVERGED:
-            reasons[k] = REASONS[status[k]]
+    status = _statuses(done, reasons, free, max_theta)
     found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
     return FitResult(
         names=measured.names,
@@ -159,7 +147,7 @@ def fit(
         loss=loss.registered_name,
         strategy=strategy_name(strategy),
         diffuse=diffuse,
-        error=error,
+        error=torch.cat([found.error for found in done]),
         subset_error=torch.cat([found.seen for found in done]),
         status=status,
         reason=[reasons.get(k, "") for k in range(len(status))],
@@ -187,6 +175,24 @@ class _Fitted(NamedTuple):
     error: Tensor
     seen: Tensor
     counts: Tensor
+
+
+def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta: float) -> list[Status]:
+    """How each material's fit ended, with the reason, where it is none, added to `reasons`; free: parameters fitted."""
+    status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
+    error = torch.cat([found.error for found in done])
+    for k, count in enumerate(torch.cat([found.counts for found in done]).tolist()):
+        if k in reasons:
+            status[k] = Status.BAD_START
+        elif count == 0:
+            status[k], reasons[k] = Status.NO_DATA, f"no valid sample within {max_theta:g} degrees"
+        elif not error[k].isfinite():
+            status[k], reasons[k] = Status.NOT_FINITE, f"the error is {error[k].item():g}"
+        elif count < free:
+            status[k], reasons[k] = Status.TOO_FEW_SAMPLES, f"{count} valid values for {free} parameters"
+        elif status[k] != Status.CONVERGED:
+            reasons[k] = REASONS[status[k]]
+    return status
 
 
 def _counts(problem: Problem) -> Tensor:

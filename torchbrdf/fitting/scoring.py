@@ -133,10 +133,18 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
 
 
 def local_minima(cross: Tensor, tolerance: float = 1e-4) -> Tensor:
-    """The paper's test: which fits another loss's parameters beat.
+    """The paper's test for local minima: which fits another loss's parameters beat.
 
-    cross: `(L, L, M)`, the error under loss a of the parameters found under loss b, at [a, b]. A fit under a is an
-    outlier, stuck in a local minimum, if some b has a lower error there by more than `tolerance`, relative: `(L, M)`.
+    Args:
+        cross: the error under loss a of the parameters found under loss b, at [a, b], `(L, L, M)`.
+        tolerance: how much lower, relative, an error must be.
+
+    Returns:
+        Whether the fit under a is an outlier, as some b has a lower error there, `(L, M)`.
+
+    Example:
+        >>> local_minima(torch.tensor([[[1.0], [0.5]], [[3.0], [2.0]]])).tolist()
+        [[True], [False]]
     """
     own = torch.diagonal(cross, dim1=0, dim2=1).T
     return cross.amin(1) < own * (1 - tolerance)

@@ -1,7 +1,7 @@
 """How values on Pairs are compared: formulas, and a learned metric. A loss a file. Importing them costs little."""
 
 from torchbrdf.losses import functional
-from torchbrdf.losses.base import LOSSES, Loss, Problem
+from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.binned import BinAssignment, BinnedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
@@ -10,6 +10,7 @@ from torchbrdf.losses.function import FunctionLoss, as_loss
 from torchbrdf.losses.image import ImageLoss
 from torchbrdf.losses.learned import LearnedLoss
 from torchbrdf.losses.log import LogLoss
+from torchbrdf.losses.problem import Problem
 from torchbrdf.losses.rms import RMSLoss
 from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 

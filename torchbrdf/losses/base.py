@@ -2,14 +2,14 @@
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.losses import derivatives
+from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
@@ -21,52 +21,6 @@ LOSSES.alias("solid_angle_cosine", "solid_angle_cosine_rms")
 
 Reduction = Literal["none", "mean", "sum"]
 HALVES = (torch.float16, torch.bfloat16)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What a fit solves: find values on `pairs` that come close to `target` under `weight`.
-
-    Args:
-        pairs: of shape `(M|1, N)`.
-        target: BRDF values in 1/sr, `(M, N, 3)`.
-        weight: how much each pair counts, `(M|1, N, 1|3)`; None: all the same.
-
-    Example:
-        >>> import torch
-        >>> from torchbrdf import Pairs
-        >>> pairs = Pairs.from_cosines(cos_i=torch.tensor([[0.5, 0.9]]))
-        >>> problem = Problem(pairs, torch.ones(4, 2, 3))
-        >>> problem.select(materials=torch.tensor([0, 2])).target.shape
-        torch.Size([2, 2, 3])
-    """
-
-    pairs: Pairs
-    target: Tensor
-    weight: Tensor | None = None
-
-    def select(self, materials: Tensor | None = None, samples: Tensor | None = None) -> "Problem":
-        """Some materials and some of the pairs, by index, as `Pairs.select`."""
-        target, weight = self.target, self.weight
-        if materials is not None:
-            target = target[materials]
-            weight = weight[materials] if weight is not None and len(weight) > 1 else weight
-        if samples is not None:
-            target = target[:, samples]
-            weight = weight[:, samples] if weight is not None and weight.shape[1] > 1 else weight
-        return Problem(self.pairs.select(materials, samples), target, weight)
-
-
-class MeasuredValues(Protocol):
-    """What a loss asks of a measured BRDF."""
-
-    @property
-    def pairs(self) -> Pairs: ...
-    @property
-    def values(self) -> Tensor: ...
-    @property
-    def weight(self) -> Tensor: ...
-    def batch(self, materials: list[int] | None = None, samples: Tensor | None = None) -> "MeasuredValues": ...
 
 
 class Loss(nn.Module):
@@ -150,7 +104,8 @@ class Loss(nn.Module):
     @property
     def elementwise(self) -> bool:
         """Whether `encode` and `penalty` are functions of one value at a time: taken on trust of closed derivatives,
-        else tried on a few values."""
+        else tried on a few values.
+        """
         return self.has_closed_derivatives or derivatives.elementwise(self)
 
     @property

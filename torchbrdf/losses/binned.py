@@ -18,8 +18,18 @@ CACHED = 1 << 24
 class BinAssignment(NamedTuple):
     """Which bins pairs are in.
 
-    membership: the share of each pair in each bin, `(..., N, B)`; mass: what the bins hold, with their fading,
-    `(..., 1, B)`, float64; pointwise_weight: how much the square of each difference counts, `(..., N, C)`.
+    Args:
+        membership: the share of each pair in each bin, `(..., N, B)`.
+        mass: what the bins hold, with their fading, `(..., 1, B)`, float64.
+        pointwise_weight: how much the square of each difference counts, `(..., N, C)`.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> from torchbrdf.losses import LearnedLoss
+        >>> pairs = Pairs.from_half_diff(*torch.full((3, 5), 0.5))
+        >>> LearnedLoss().assignment(pairs, None, torch.ones(5, 3)).membership.shape
+        torch.Size([5, 15])
     """
 
     membership: Tensor

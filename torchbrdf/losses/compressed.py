@@ -15,6 +15,21 @@ class CompressedLoss(Loss):
 
     Negative values count as 0. A power below 1 has an infinite slope at 0, so that x^p is (x + eps)^p - eps^p:
     exact at eps = 0, where the gradient at 0 is defined as 0. The exponents are what the paper names as future work.
+
+    Args:
+        exponent: p, above 0 and at most 2.
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+        eps: keeps the slope at 0 finite.
+
+    Raises:
+        UsageError: for any other exponent.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_cosines(cos_i=torch.full((5,), 1.0))
+        >>> CompressedLoss(0.5, eps=0.0)(torch.full((2, 5, 3), 9.0), torch.ones(2, 5, 3), pairs)
+        tensor(2.)
     """
 
     needs = ("cos_i",)

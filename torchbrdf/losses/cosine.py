@@ -10,7 +10,18 @@ from torchbrdf.pairs import Pairs
 
 @LOSSES.register("cosine_rms")
 class CosineRMSLoss(Loss):
-    """sqrt(sum((M cos_i - A cos_i)^2) / n), the paper's eq. 9. Shapes as `Loss`."""
+    """sqrt(sum((M cos_i - A cos_i)^2) / n), the paper's eq. 9. Shapes as `Loss`.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_cosines(cos_i=torch.full((5,), 0.5))
+        >>> CosineRMSLoss()(torch.full((2, 5, 3), 3.0), torch.ones(2, 5, 3), pairs)
+        tensor(1.)
+    """
 
     needs: ClassVar[tuple[str, ...]] = ("cos_i",)
 

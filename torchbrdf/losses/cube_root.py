@@ -16,6 +16,17 @@ class CubeRootLoss(Loss):
     difference d, so that each term is (d^2 + eps)^(1/3) - eps^(1/3): exact at eps = 0, where the gradient at d = 0 is
     defined as 0. The default changes a term by at most 1e-8, which is a difference of 1e-12.
 
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+        eps: rounds the cusp.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_cosines(cos_i=torch.full((5,), 1.0))
+        >>> CubeRootLoss()(torch.full((2, 5, 3), 9.0), torch.ones(2, 5, 3), pairs)
+        tensor(2.)
+
     Source: A. Fores, J. Ferwerda and J. Gu, Toward a Perceptually Based Metric for BRDF Modeling, 2012,
     doi:10.2352/CIC.2012.20.1.art00025.
     """

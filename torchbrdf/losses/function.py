@@ -97,7 +97,22 @@ class FunctionLoss(Loss):
 
 
 def as_loss(loss: Any) -> Loss:
-    """A loss as it is; any other module or function, and a Loss that gives `forward` alone, as a `FunctionLoss`."""
+    """What `fit` takes as a Loss: any module or function, and a Loss that gives `forward` alone, as a `FunctionLoss`.
+
+    Args:
+        loss: a `Loss`, or a module or function of (prediction, target).
+
+    Returns:
+        The loss itself, or a `FunctionLoss` of it.
+
+    Raises:
+        UsageError: for what is neither.
+
+    Example:
+        >>> import torch
+        >>> as_loss(torch.nn.MSELoss()).registered_name
+        'MSELoss'
+    """
     if isinstance(loss, Loss):
         kind = type(loss)
         return loss if kind.forward is Loss.forward or kind.error is not Loss.error else FunctionLoss(loss)

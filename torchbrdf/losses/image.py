@@ -3,7 +3,8 @@
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.losses.base import Loss, Problem
+from torchbrdf.losses.base import Loss
+from torchbrdf.losses.problem import Problem
 from torchbrdf.pairs import Pairs
 
 # Values (m,), gradients (m, P, 3), and positive semi-definite matrices (m, P, 3, 3) that make up a parabola.

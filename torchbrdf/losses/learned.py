@@ -52,8 +52,21 @@ class LearnedLoss(BinnedLoss):
     little where their weights are passed; a bin without pairs adds nothing. Weights that differ by channel weigh
     luminance, and scale the chroma of a channel by w_c / max_c w_c.
 
-    weights: None for those that come with torchbrdf, the path of a `metric.json`, or what such a file holds. Unit: the
-    mean distance between two of the materials that they were learned from; `provenance` says which.
+    Unit: the mean distance between two of the materials that the weights were learned from; `provenance` says which.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+        weights: the path of a `metric.json`, or what such a file holds; None: those that come with torchbrdf.
+
+    Raises:
+        DataError: for weights that are none.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_half_diff(*torch.full((3, 5), 0.5))
+        >>> LearnedLoss("none")(torch.ones(2, 5, 3), torch.ones(2, 5, 3), pairs)
+        tensor([0., 0.])
 
     Source: this project; trained (recipe train_metric) on the answers of M. Lagunas et al. 2019,
     doi:10.1145/3306346.3323036, and G. Lavoue et al. 2021, doi:10.1111/cgf.142636. The probit likelihood of

@@ -13,6 +13,16 @@ class LogLoss(Loss):
 
     Source: the metric E2 of J. Low et al., BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces,
     2012, doi:10.1145/2077341.2077350. A plain logarithm, as in Matusik 2003, has no value at 0.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_cosines(cos_i=torch.full((5,), 1.0))
+        >>> LogLoss()(torch.full((2, 5, 3), 3.0), torch.ones(2, 5, 3), pairs)
+        tensor(0.6931)
     """
 
     needs = ("cos_i",)

@@ -8,7 +8,16 @@ from torchbrdf.pairs import Pairs
 
 @LOSSES.register("rms")
 class RMSLoss(Loss):
-    """sqrt(sum((M - A)^2) / n), the paper's eq. 8; needs no pairs. Shapes as `Loss`."""
+    """sqrt(sum((M - A)^2) / n), the paper's eq. 8; needs no pairs. Shapes as `Loss`.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+
+    Example:
+        >>> import torch
+        >>> RMSLoss()(torch.full((2, 5, 3), 3.0), torch.ones(2, 5, 3))
+        tensor(2.)
+    """
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """The values as they are."""

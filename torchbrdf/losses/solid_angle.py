@@ -20,6 +20,16 @@ class SolidAngleCosineRMSLoss(CosineRMSLoss):
 
     Source: the metric of A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005,
     doi:10.2312/EGWR/EGSR05/117-126, "weighted by the cosine and the solid angle"; the formula of w is our reading.
+
+    Args:
+        reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf import Pairs
+        >>> pairs = Pairs.from_half_diff(*torch.full((3, 5), 0.5))
+        >>> bool(SolidAngleCosineRMSLoss()(torch.full((2, 5, 3), 3.0), torch.ones(2, 5, 3), pairs) > 1)
+        True
     """
 
     needs: ClassVar[tuple[str, ...]] = ("cos_i", "theta_h", "theta_d")

@@ -1,4 +1,4 @@
-"""Reader of `tensor_file` version 1, the container of the RGL database: named arrays behind a table of contents.
+r"""Reader of `tensor_file` version 1, the container of the RGL database: named arrays behind a table of contents.
 
     magic  "tensor_file\\0"      12 bytes
     version 1, 0                 2 bytes

@@ -47,7 +47,8 @@ class FitObjective(ABC):
         self, parametrization: Parametrization, values: ParameterDict, materials: Tensor | None = None
     ) -> FirstOrder:
         """R problems for a solver, each a material with held parameters of its own, in units of
-        `zero_prediction_error`; materials: `(R,)`, which each is of; None: all, in their order."""
+        `zero_prediction_error`; materials: `(R,)`, which each is of; None: all, in their order.
+        """
 
     @property
     def material_indices(self) -> Tensor:

@@ -127,7 +127,8 @@ def _usual(training_set: TrainingSet) -> Tensor:
 
 def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split]:
     """Repeated two-fold cross-validation over materials; and in the first of them, one method after the other left out
-    as well."""
+    as well.
+    """
     generator = torch.Generator().manual_seed(seed)
     count = len(training_set.names)
     for repeat in range(repeats):
