@@ -44,6 +44,7 @@ def load_files(files: Sequence[str]) -> tuple[list["Measured"], bool]:
 
 
 def short(value: object) -> str:
+    """A value in few characters: numbers to four digits, lists to six items."""
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list | tuple):
@@ -53,6 +54,7 @@ def short(value: object) -> str:
 
 
 def described(parser: argparse.ArgumentParser, description: str) -> argparse.ArgumentParser:
+    """The parser with a description whose lines stay as they are."""
     parser.description = description
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     return parser

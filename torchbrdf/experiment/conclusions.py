@@ -42,8 +42,9 @@ def benefits(scales: Scales, plan: Plan, loss: str, other: str) -> list[Benefit]
 
 
 def check_claims(scales: Scales, plan: Plan) -> list[str]:
-    """The paper's claim, that the cube root looks at least as close as the other metrics and more so for sharp lobes,
-    in sentences; none where the answers are not about it.
+    """What the scales say of the paper's claim, in sentences; none where the answers are not about it.
+
+    The claim: the cube root looks at least as close as the other metrics, and more so for sharp lobes.
     """
     lines = []
     for other in OTHER_LOSSES:
@@ -88,8 +89,9 @@ def _by_gloss(found: Sequence[Benefit], plan: Plan, other: str) -> str:
 
 
 def confusions(scales: Scales, material: int) -> set[str]:
-    """The stimuli that observers do not tell from the measured material: the 95 % interval of how much higher the
-    measured one stands holds 0, or all of it is below.
+    """The stimuli that observers do not tell from the measured material.
+
+    The 95 % interval of how much higher the measured one stands holds 0, or all of it is below.
     """
     names = scales.stimuli[material]
     if MEASURED not in names:

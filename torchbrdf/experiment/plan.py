@@ -95,9 +95,11 @@ def simulate_responses(
     changed its words.
 
     Args:
-        pictures: As in `make_plan`, as are texts and screening.
+        pictures: As in `make_plan`.
         observers: How many, in either experiment.
         noise: Of what they see, in units of the image difference.
+        texts: As in `make_plan`.
+        screening: As in `make_plan`.
     """
     grid = pictures.grid
     metric, answers = next(iter(grid.losses)), []

@@ -29,8 +29,9 @@ def best_counts(records: Records, losses: Iterable[str], difference: str) -> dic
 
 
 def rank_agreement(records: Records, metric: str, difference: str) -> float:
-    """How well a metric orders fits as an image difference does: Spearman's rank correlation over the fits of a
-    material, averaged over materials; 1 if always in the same order.
+    """How well a metric orders fits as an image difference does.
+
+    Spearman's rank correlation over the fits of a material, averaged over materials; 1 if always in the same order.
     """
     found = []
     for material in dict.fromkeys(record.material for record in records):

@@ -161,8 +161,9 @@ def _search(
 
 
 def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
-    """The factors of the columns `used`, `(M, C, q)`, for each channel, `(M, 3, C, q)`, within their limits; and the
-    error of the combination but for a constant, `(M, C)`.
+    """The best factors of combinations of columns, within their limits, and their errors.
+
+    used: `(M, C, q)`; the factors: for each channel, `(M, 3, C, q)`; the errors, but for a constant: `(M, C)`.
     """
     materials, _, size = used.shape
     gram = gram.expand(materials, 3, -1, -1)

@@ -103,8 +103,9 @@ class Loss(nn.Module):
 
     @property
     def elementwise(self) -> bool:
-        """Whether `encode` and `penalty` are functions of one value at a time: taken on trust of closed derivatives,
-        else tried on a few values.
+        """Whether `encode` and `penalty` are functions of one value at a time.
+
+        Taken on trust of closed derivatives, else tried on a few values.
         """
         return self.has_closed_derivatives or derivatives.elementwise(self)
 
@@ -194,8 +195,9 @@ class Loss(nn.Module):
         return Problem(part.pairs, part.values, part.weight)
 
     def _cached_target(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
-        """make(), what is compared of a target, kept for when the same tensor comes again, unchanged and on the same
-        pairs, as it does in every step of a fit.
+        """What make() encodes of a target, kept for when the same tensor comes again.
+
+        Unchanged and on the same pairs, as it does in every step of a fit.
         """
         if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
             return make()

@@ -103,7 +103,7 @@ def log(
     *,
     reduction: Reduction = "mean",
 ) -> Tensor:
-    """Root mean square difference of log(1 + value times cos_i), `LogLoss`.
+    """Root mean square difference of logarithms of 1 + value times cos_i, `LogLoss`.
 
     Example:
         >>> import torch

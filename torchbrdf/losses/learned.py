@@ -167,8 +167,9 @@ def luminance(values: Tensor) -> Tensor:
 
 
 def contrasts(means: Tensor) -> Tensor:
-    """Averages `(..., C, BINS)` as those of luminance and of each channel's chroma, and then their differences between
-    two bins of theta_h, `(..., 1 + C, BINS + differences)`.
+    """Averages in bins as luminance and chroma, with their differences between two bins of theta_h.
+
+    From `(..., C, BINS)` to `(..., 1 + C, BINS + differences)`: luminance first, then the chroma of each channel.
     """
     lightness = (luminance(means.mT) @ means)[..., None, :]
     means = torch.cat([lightness, means - lightness], -2)
@@ -178,8 +179,9 @@ def contrasts(means: Tensor) -> Tensor:
 
 
 def factor(weight: Tensor, channels: int) -> Tensor:
-    """The matrix whose product with averages, flat, has the square that is M + K; weight: `(2, K)`, of luminance and
-    chroma.
+    """The matrix whose product with averages, flat, has the square that is M + K.
+
+    weight: `(2, K)`, of luminance and chroma.
     """
     unit = torch.eye(channels * BINS, dtype=weight.dtype, device=weight.device).unflatten(-1, (channels, BINS))
     root = torch.cat([weight[:1], weight[1:].expand(channels, -1)]).sqrt()

@@ -150,8 +150,9 @@ def _text(value: object) -> str:
 def write_scales(
     folder: Path, answers: Sequence[Answer], plan: Plan | None, *, method: Method, seed: int, source: str
 ) -> list[str]:
-    """Scale the answers of every experiment; write `scales.csv`, `scales.json`, `observers.csv`, figures and
-    `scales.html` into a folder. Gives what they say, in lines.
+    """Scale the answers of every experiment into a folder, and give what they say, in lines.
+
+    Writes `scales.csv`, `scales.json`, `observers.csv`, figures and `scales.html`.
     """
     scaled = scale_experiments(answers, plan, method, seed)
     mark = "; ".join(filter(None, [plan.mark if plan else "", SIMULATED_MARK if simulated(answers) else ""]))

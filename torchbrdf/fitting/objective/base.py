@@ -46,8 +46,9 @@ class FitObjective(ABC):
     def bind(
         self, parametrization: Parametrization, values: ParameterDict, materials: Tensor | None = None
     ) -> FirstOrder:
-        """R problems for a solver, each a material with held parameters of its own, in units of
-        `zero_prediction_error`; materials: `(R,)`, which each is of; None: all, in their order.
+        """R problems for a solver, each a material with held parameters of its own.
+
+        Values are in units of `zero_prediction_error`. materials: `(R,)`, which each is of; None: all, in their order.
         """
 
     @property

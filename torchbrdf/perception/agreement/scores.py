@@ -29,7 +29,10 @@ class Approximation(Protocol):
     """Models of several materials."""
 
     @property
-    def materials(self) -> list[str]: ...
+    def materials(self) -> list[str]:
+        """Their names."""
+        ...
+
     def of(self, materials: Sequence[str]) -> nn.Module:
         """A batched model of these materials, in this order, that gives values on pairs."""
         ...

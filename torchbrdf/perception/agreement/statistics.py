@@ -34,8 +34,9 @@ class DistanceComparisons:
         return len(self.nearer)
 
     def concordant(self, distances: Tensor) -> Tensor:
-        """Which comparisons each of L sets of distances `(L, n)` orders right, `(L, C)` float64: 1, 0, or 0.5 for equal
-        distances. A distance that is not a number is always wrong.
+        """Which comparisons each of L sets of distances `(L, n)` orders right, `(L, C)` float64.
+
+        1, 0, or 0.5 for equal distances. A distance that is not a number is always wrong.
         """
         near, far = distances[:, self.nearer], distances[:, self.farther]
         return (near < far).double() + 0.5 * (near == far).double()
@@ -111,8 +112,9 @@ def across_materials(opinions: Opinions) -> DistanceComparisons:
 
 
 def majority_of_votes(triplets: Triplets) -> Tensor:
-    """What a predictor that always knows the majority would get of `single_votes`, `(1, C)`: it is wrong about the
-    votes of the minority, and halfway right about ties.
+    """What a predictor that always knows the majority would get of `single_votes`, `(1, C)`.
+
+    It is wrong about the votes of the minority, and halfway right about ties.
     """
     a, b = triplets.votes.double().unbind(1)
     known = (a > b).double() + 0.5 * (a == b).double()

@@ -126,8 +126,9 @@ def _usual(training_set: TrainingSet) -> Tensor:
 
 
 def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split]:
-    """Repeated two-fold cross-validation over materials; and in the first of them, one method after the other left out
-    as well.
+    """Repeated two-fold cross-validation over materials.
+
+    In the first of them, one method after the other is left out as well.
     """
     generator = torch.Generator().manual_seed(seed)
     count = len(training_set.names)

@@ -47,8 +47,9 @@ class DirectionalLight:
         object.__setattr__(self, "irradiance", _color("DirectionalLight.irradiance", self.irradiance))
 
     def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
-        `(p,)`, all infinite.
+        """What reaches points `(p, 3)`: unit directions to the light, irradiances, and distances.
+
+        `(p, 3)`, `(p, 3)`, and `(p,)`, all infinite.
         """
         direction, irradiance = (position.new_tensor(x).expand_as(position) for x in (self.direction, self.irradiance))
         return direction, irradiance, torch.full_like(position[:, 0], math.inf)
@@ -82,8 +83,9 @@ class PointLight:
         object.__setattr__(self, "intensity", _color("PointLight.intensity", self.intensity))
 
     def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What reaches points `(p, 3)`: unit directions to the light, irradiances, `(p, 3)` each, and distances
-        `(p,)`.
+        """What reaches points `(p, 3)`: unit directions to the light, irradiances, and distances.
+
+        `(p, 3)`, `(p, 3)` and `(p,)`.
         """
         way = position.new_tensor(self.position) - position
         distance = way.norm(dim=-1)

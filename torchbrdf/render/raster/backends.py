@@ -29,8 +29,9 @@ class OpenGL:
 
 @functools.cache
 def find_opengl() -> OpenGL:
-    """Whether OpenGL draws, tried once, in another process: where it fails, it may crash, or hang, or leave PyOpenGL
-    half imported.
+    """Whether OpenGL draws, tried once.
+
+    In another process: where it fails, it may crash, or hang, or leave PyOpenGL half imported.
     """
     try:
         done = subprocess.run(

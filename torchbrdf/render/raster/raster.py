@@ -17,8 +17,9 @@ _PIXELS = 1 << 14
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Geometry that a camera sees, each `(size, size, ...)`, top row first: the triangle's id (-1 for none), positions
-    and smooth unit normals (0 where there is nothing).
+    """Geometry that a camera sees, each `(size, size, ...)`, top row first.
+
+    The triangle's id (-1 for none), positions and smooth unit normals (0 where there is nothing).
     """
 
     triangle: np.ndarray
