@@ -5,7 +5,7 @@ import numpy as np
 from torchbrdf.render.raster.mesh import Mesh, octahedral_sphere
 
 # Bumps (above 0) and hollows (below 0) of the blob: direction, height, concentration.
-_BUMPS = np.array(
+BUMPS = np.array(
     [
         (0.15, 1.00, 0.20, 0.34, 5.0),
         (-0.85, 0.50, 0.35, 0.38, 7.0),
@@ -31,8 +31,8 @@ def make_blob(levels: int = 6) -> Mesh:
     `make_blob().save("assets/blob.ply")` made the file.
     """
     directions, faces = octahedral_sphere(levels)
-    axes = _BUMPS[:, :3] / np.linalg.norm(_BUMPS[:, :3], axis=1, keepdims=True)
-    height, concentration = _BUMPS[:, 3], _BUMPS[:, 4]
+    axes = BUMPS[:, :3] / np.linalg.norm(BUMPS[:, :3], axis=1, keepdims=True)
+    height, concentration = BUMPS[:, 3], BUMPS[:, 4]
     along = directions @ axes.T
     bumps = height * np.exp(concentration * (along - 1))
     radius = 1 + bumps.sum(1, keepdims=True)

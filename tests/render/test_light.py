@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchbrdf.assets.make_blob import BUMPS
 from torchbrdf.errors import UsageError
 from torchbrdf.parallel import thread_map
 from torchbrdf.render import Mesh, blob, sphere
 from torchbrdf.render.light.punctual import NEAREST, DirectionalLight, PointLight, parse_light
-from torchbrdf.render.raster.mesh import _BUMPS
 from torchbrdf.render.transport.shadows import Occluder
 
 Points = tuple[Tensor, Tensor, Tensor]
@@ -147,8 +147,8 @@ def test_two_spheres_as_their_formulas_say() -> None:
 def test_the_blob_as_its_formula_says() -> None:
     """A ray meets the blob where its points are nearer to the middle than the surface in their direction."""
     needs_embreex()
-    axes = _BUMPS[:, :3] / np.linalg.norm(_BUMPS[:, :3], axis=1, keepdims=True)
-    height, concentration = _BUMPS[:, 3], _BUMPS[:, 4]
+    axes = BUMPS[:, :3] / np.linalg.norm(BUMPS[:, :3], axis=1, keepdims=True)
+    height, concentration = BUMPS[:, 3], BUMPS[:, 4]
     mesh = blob()
     point, _, direction = surface_points(mesh, 600, 20)
     seen = Occluder(mesh).visible(point, direction).numpy().reshape(-1)
