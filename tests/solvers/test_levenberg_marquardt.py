@@ -100,3 +100,15 @@ def test_bounds_the_wrong_way_round_are_refused():
     one = torch.ones(1, 1, dtype=torch.float64)
     with pytest.raises(ShapeError, match="lower bound is above"):
         minimize_levenberg_marquardt(FromFunction(lambda x, rows: (x[:, 0], x, x[..., None])), one, one, -one)
+
+
+def test_a_value_that_is_as_good_as_0_is_a_minimum_even_where_no_step_is_better():
+    """A gradient of rounding errors, as at an exact fit in single precision."""
+
+    def objective(x, rows):
+        value = torch.where(rows == 0, 1e-11, 1e-9).double()
+        return value, torch.full_like(x, 1e-5), torch.ones_like(x)[..., None]
+
+    zero, bound = torch.zeros(2, 1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    found = minimize_levenberg_marquardt(FromFunction(objective), zero, -bound, bound, fmin=1e-10)
+    assert found.status == [Status.CONVERGED, Status.STALLED]

@@ -141,7 +141,7 @@ def minimize_lbfgs(
         ended = ~gained & fresh[rows]
         history.forget(rows[~gained])
         fresh[rows] = ~gained
-        minimum = accepted | (promise <= RESOLUTION * size[rows])
+        minimum = accepted | (promise <= RESOLUTION * size[rows]) | (value[rows].abs() <= fmin)
         finish(rows, ended & minimum, Status.CONVERGED)
         finish(rows, ended & ~minimum, Status.STALLED)
         rows = rows[~ended]

@@ -28,7 +28,8 @@ def minimize_levenberg_marquardt(
     Each step goes to the least of the damped parabola within the bounds; each problem has its own damping and end, and
     those that have ended leave the batch. Where a parabola promises less than comes about, as one does that lies above
     the function, it is made flatter. A problem has converged when the undamped parabola promises no more than `ftol` of
-    its value plus `fmin`, or when no step is better and it promises no more than 1e-6 of it; else it has stalled.
+    its value plus `fmin`, or when no step is better and it promises no more than 1e-6 of it, or the value is at most
+    `fmin`; else it has stalled.
 
     Args:
         objective: values, gradients and matrices.
@@ -94,7 +95,8 @@ def minimize_levenberg_marquardt(
             undamped = np.full(len(at), SMALLEST)
             promise, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
             done = promise <= ftol * size[ending]
-            minimum = done | (stuck[ending] & (promise <= RESOLUTION * size[ending]))
+            nothing_left = (promise <= RESOLUTION * size[ending]) | (np.abs(value[at]) <= fmin)
+            minimum = done | (stuck[ending] & nothing_left)
             finish(at[minimum], Status.CONVERGED)
             finish(at[stuck[ending] & ~minimum], Status.STALLED)
             left = np.ones(len(rows), dtype=bool)
