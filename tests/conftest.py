@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+# Before torch is imported: its threads spin while they wait, and make a machine with other work crawl.
+os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+
 import pytest
 from hypothesis import settings
 

@@ -2,6 +2,8 @@
 
 import logging
 import os
+import subprocess
+import sys
 import traceback
 
 import pytest
@@ -77,3 +79,21 @@ def test_with_cuda_in_use_it_works_in_threads_and_says_so(two_threads, monkeypat
     with caplog.at_level(logging.INFO, "torchbrdf"):
         assert set(process_map(lambda k: os.getpid(), range(4))) == {os.getpid()}
     assert "working in threads" in caplog.text
+
+
+@pytest.mark.slow
+def test_processes_do_not_wait_for_locks_of_threads_that_are_gone():
+    """Products in threads, then in forks: MKL's allocator made this hang within a few rounds."""
+    code = """if True:
+        import torch
+        from torchbrdf.parallel import thread_map, process_map
+
+        torch.set_num_threads(2)
+        a, b = torch.rand(4, 3, 33, 4000, dtype=torch.float64), torch.rand(1, 4000, 33, dtype=torch.float64)
+        work = lambda k: sum((a @ b).sum().item() for _ in range(4))
+        for _ in range(6):
+            torch.rand(3, 500, 500, requires_grad=True).square().sum().backward()
+            list(thread_map(work, [0, 1]))
+            list(process_map(work, [0, 1, 2, 3]))
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -67,7 +67,7 @@ def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
 
     Example:
         >>> csv_text([{"name": "nickel", "error": 0.5}, {"name": "nylon"}])
-        'name,error\\nnickel,0.5\\nnylon,\\n'
+        'name,error\nnickel,0.5\nnylon,\n'
     """
     rows = list(rows)
     text = io.StringIO(newline="")

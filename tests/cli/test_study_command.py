@@ -53,8 +53,8 @@ def test_a_user_adds_an_experiment_simulates_and_scales_it(run, capsys):
 
 
 def test_pairs_can_be_chosen(run, capsys):
-    assert main(["study", "add", str(run), "few", "--pairs", "ward-rms:ward-cube_root,ward-cosine:measured"]) == 0
-    assert Plan.load(run).experiment("few").pairs == (("ward-rms", "ward-cube_root"), ("ward-cosine", MEASURED))
+    assert main(["study", "add", str(run), "few", "--pairs", "ward-rms:ward-cube_root,ward-cosine_rms:measured"]) == 0
+    assert Plan.load(run).experiment("few").pairs == (("ward-rms", "ward-cube_root"), ("ward-cosine_rms", MEASURED))
     assert "4 trials an observer" in capsys.readouterr().out
 
 

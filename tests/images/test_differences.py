@@ -200,7 +200,7 @@ def test_gradients_against_finite_differences(name: str) -> None:
     image, reference, mask = pictures(difference, batch=1, side=6)
     image = image.clamp_min(0.01)  # away from the kink of negative radiance
     assert torch.autograd.gradcheck(lambda x: difference.loss(x, reference, mask), image.requires_grad_())
-    assert torch.autograd.gradcheck(lambda x: difference(x, reference, mask), image)
+    assert torch.autograd.gradcheck(lambda x: difference(x, reference, mask), image, fast_mode=True)
     assert torch.autograd.gradcheck(
         lambda x: difference.loss(image.detach(), x, mask), reference.requires_grad_(), fast_mode=True
     )
