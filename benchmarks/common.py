@@ -7,8 +7,9 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters
+from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.lobes import make_model
+from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.losses import LOSSES
 
 MODELS = ("ward", "cook_torrance", "ashikhmin_shirley")

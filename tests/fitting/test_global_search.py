@@ -11,10 +11,11 @@ from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.fitting import Batches, GlobalSearch, Status, fit, score, stratified
 from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
-from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters, take
+from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.fitting.scoring import material_batches
 from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model, read_fits
+from torchbrdf.lobes.parameter_dict import get_parameters, take_materials
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
@@ -74,7 +75,7 @@ def test_starts_are_near_the_truth(name, lobes):
     shapes = torch.cat([found[f"lobes.{k}.{SHAPES[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
     for material in range(2):
         assert len(torch.unique(shapes[:, material], dim=0)) == 4
-    best = Parametrization(model, []).predict(take(found, slice(2)), pairs)  # the best start of each
+    best = Parametrization(model, []).predict(take_materials(found, slice(2)), pairs)  # the best start of each
     error = CosineRMSLoss("none")(best, values, pairs)
     black = CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
     assert (error < (0.7 if lobes == 1 else 0.35) * black).all()

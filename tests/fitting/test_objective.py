@@ -11,15 +11,9 @@ from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective import GaussNewtonObjective, make_objective
 from torchbrdf.fitting.objective.autograd import AutogradObjective
 from torchbrdf.fitting.objective.pointwise import PointwiseObjective
-from torchbrdf.fitting.parameters import (
-    Parametrization,
-    free_parameters,
-    get_parameters,
-    named_specs,
-    take,
-    with_parameters,
-)
+from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.lobes import LOBES, Lambert, Lobe, Sum, make_model
+from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Loss, Problem, RMSLoss, derivatives
 from torchbrdf.pairs import Pairs
 
@@ -72,14 +66,14 @@ def test_value_and_gradient_are_autograds(name, loss_name, kind, shared, weighte
     assert isinstance(objective, GaussNewtonObjective)
     rows = torch.tensor([2, 0])  # some of the problems, in another order; problem 2 is material 0
     materials = torch.tensor([1, 2, 0])
-    own = take(get_parameters(model), materials)
+    own = take_materials(get_parameters(model), materials)
     bound = objective.bind(free, own, materials)
     x = free.encode(own)[rows]
     value, gradient, matrix = bound.quadratic_model(x, rows)
 
     point = x.clone().requires_grad_()
     chosen = materials[rows]
-    here = take(get_parameters(model), chosen) | free.decode(point, torch.float64)
+    here = take_materials(get_parameters(model), chosen) | free.decode(point, torch.float64)
     pairs = given.pairs.select(chosen)
     weight = None if given.weight is None else given.weight[chosen]
     error = loss.error(free.predict(here, pairs).expand(2, -1, 3), given.target[chosen], pairs, weight)
@@ -211,7 +205,7 @@ def test_a_vector_is_the_parameters_and_back(name):
         torch.testing.assert_close(again[key], value, rtol=1e-12, atol=0)
     pairs = problem(1, True, False).pairs
     torch.testing.assert_close(free.predict(again, pairs), model(pairs), rtol=1e-9, atol=0)
-    part = with_parameters(model, take(values, [2]))
+    part = with_parameters(model, take_materials(values, [2]))
     torch.testing.assert_close(part(pairs), model(pairs)[2:], rtol=1e-12, atol=0)
     assert torch.equal(model.components()[1](pairs), with_parameters(model, values).components()[1](pairs))
 

@@ -221,38 +221,6 @@ def test_declarations(name: str) -> None:
 
 
 @every_lobe
-@pytest.mark.parametrize("batch", [None, 3])
-def test_pack_and_unpack(name: str, batch: int | None) -> None:
-    lead = () if batch is None else (batch,)
-    lobe = Sum(made(name, *lead), made(name, *lead, seed=4))
-    size = 2 * sum(spec.size for spec in LOBES[name].parameter_specs.values())
-    packed = lobe.pack()
-    assert packed.shape == (*lead, size)
-    assert not packed.requires_grad
-    other = lobe.unpack(packed * 1.5)
-    torch.testing.assert_close(other.pack(), packed * 1.5, rtol=0, atol=0)
-    torch.testing.assert_close(lobe.pack(), packed, rtol=0, atol=0)
-    again = other.unpack(packed)
-    torch.testing.assert_close(again(some_pairs(*lead, 5)), lobe(some_pairs(*lead, 5)), rtol=0, atol=0)
-    for value, like in zip(again.parameters(), lobe.parameters(), strict=True):
-        assert value.shape == like.shape
-    with pytest.raises(ShapeError, match=rf"unpack: expected \(\.\.\., {size}\), found \(2,\)"):
-        lobe.unpack(torch.zeros(2, dtype=torch.float64))
-
-
-@every_lobe
-def test_bounds_are_in_the_order_of_pack(name: str) -> None:
-    lobe = Sum(LOBES[name](), Ward())
-    lower, upper = lobe.bounds
-    assert lower.shape == upper.shape == lobe.pack().shape
-    assert lower.dtype == lobe.pack().dtype
-    at_lower, at_upper = lobe.unpack(lower), lobe.unpack(upper)
-    for low, high, (_, spec) in zip(at_lower.named_specs(), at_upper.named_specs(), lobe.named_specs(), strict=True):
-        assert (getattr(low[0], spec.name) == torch.tensor(spec.lower)).all()
-        assert (getattr(high[0], spec.name) == torch.tensor(spec.upper)).all()
-
-
-@every_lobe
 def test_batched(name: str) -> None:
     lobe, pairs = made(name), some_pairs(1, 5)
     batch = lobe.batched(4)
@@ -322,8 +290,6 @@ def test_parameters_can_be_set(name: str) -> None:
             setattr(lobe, key, "wide")
         with pytest.raises(UsageError, match=rf"^{where}: .* without a graph"):
             setattr(lobe, key, torch.ones(spec.shape, requires_grad=True))
-    packed = torch.cat([torch.full((spec.size,), middle(spec)) for spec in lobe.parameter_specs.values()]).double()
-    torch.testing.assert_close(lobe.pack(), packed)
 
 
 def test_repr_shows_values_or_shapes() -> None:
@@ -421,9 +387,9 @@ def test_sum() -> None:
     total = Sum(Sum(lobes[0], lobes[1]), lobes[2])
     assert total.components() == lobes
     torch.testing.assert_close(total(pairs), lobes[0](pairs) + lobes[1](pairs) + lobes[2](pairs))
-    assert [spec.name for _, spec in total.named_specs()] == [
-        *["albedo", "specular", "roughness"],
-        *["specular", "roughness", "f0"],
+    assert [name for name, _ in total.named_parameters()] == [
+        *["lobes.0.albedo", "lobes.1.specular", "lobes.1.roughness"],
+        *["lobes.2.specular", "lobes.2.roughness", "lobes.2.f0"],
     ]
     with pytest.raises(UsageError, match="Sum: expected at least one lobe, found none"):
         Sum()

@@ -11,9 +11,10 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.fitting import Status, fit
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.objective.image import ImageObjective
-from torchbrdf.fitting.parameters import Parametrization, free_parameters, get_parameters
+from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.images import DIFFERENCES, PixelDifference, ToneMap
 from torchbrdf.lobes import LOBES, CookTorrance, DistributionBased, Lambert, Lobe, Sum, Ward, make_model
+from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.measured import Measured
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob
 

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.fitting.parameters import ParameterDict, Parametrization, component_names, get_parameters
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, get_parameters
 from torchbrdf.pairs import Pairs
 
 

@@ -10,20 +10,14 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.fitting.objective import make_objective
-from torchbrdf.fitting.parameters import (
-    ParameterDict,
-    diffuse_components,
-    get_parameters,
-    named_specs,
-    take,
-    with_parameters,
-)
+from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.fitting.scoring import errors, parallel_map
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Strategy, joined, strategy_name
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
@@ -120,7 +114,7 @@ def fit(
     free = sum(spec.size for part in moved for spec in part.parameter_specs.values())
 
     def fit_some(rows: list[int]) -> _Fitted:
-        values = take(start, rows)
+        values = take_materials(start, rows)
         part = with_parameters(model, values)
         whole = _without_idle_weight(loss.problem(measured.batch(rows)))
         full = make_objective(part, whole, loss)

@@ -7,10 +7,11 @@ from torch import Tensor
 
 from torchbrdf.fitting.initialization import starts_from_dictionary
 from torchbrdf.fitting.objective import GaussNewtonObjective
-from torchbrdf.fitting.parameters import ParameterDict, Parametrization, take
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.staged import minimizer_of, stages
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
+from torchbrdf.lobes.parameter_dict import ParameterDict, take_materials
 from torchbrdf.solvers import Solution
 
 
@@ -145,12 +146,14 @@ class _Candidates:
         first[1:] = self.materials[order][1:] != self.materials[order][:-1]
         rows = order[first]
         status = [found.status[row] for row in rows.tolist()]
-        return take(self.values, rows), Solution(found.x[rows], found.value[rows], status, found.iterations[rows.cpu()])
+        return take_materials(self.values, rows), Solution(
+            found.x[rows], found.value[rows], status, found.iterations[rows.cpu()]
+        )
 
     def prune(self, found: Solution, most: int, within: float) -> None:
         """Let only the best different ones of each material go on, with errors up to 1 + `within` times the best."""
         rows = self._different(found.value, most, within)
-        self.materials, self.values = self.materials[rows], take(self.values, rows)
+        self.materials, self.values = self.materials[rows], take_materials(self.values, rows)
 
     def others_within(self, found: Solution, within: float) -> list[int]:
         """How many other minima each material has within so much of the best."""

@@ -13,14 +13,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.fitting.objective import GaussNewtonObjective
-from torchbrdf.fitting.parameters import (
-    ParameterDict,
-    component_names,
-    diffuse_components,
-    specular_components,
-    take,
-)
+from torchbrdf.fitting.parameters import diffuse_components, specular_components
 from torchbrdf.lobes import BoundedParameter, Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, take_materials
 from torchbrdf.pairs import Pairs
 from torchbrdf.solvers import solve_bounded_qp
 
@@ -45,7 +40,7 @@ def starts_from_dictionary(
         options = {"shapes": shapes, "beam": beam}
         own = [
             starts_from_dictionary(
-                model, objective.select(k), take(values, slice(k, k + 1)), fit_diffuse, wanted, **options
+                model, objective.select(k), take_materials(values, slice(k, k + 1)), fit_diffuse, wanted, **options
             )
             for k in range(len(objective))
         ]

@@ -1,6 +1,5 @@
-"""The parameters of a model: as a dictionary, and as the vector that a solver moves."""
+"""The parameters of a model as the vector that a solver moves."""
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,31 +9,8 @@ from torch import Tensor
 from torch.func import functional_call
 
 from torchbrdf.lobes import BoundedParameter, Lambert, Lobe, Sum
+from torchbrdf.lobes.parameter_dict import ParameterDict, component_names
 from torchbrdf.pairs import Pairs
-
-# Values for M materials, `(M, *shape)`, or `(M, 1)` where one number serves all channels, by the names that the model's
-# `named_parameters` have, such as "lobes.1.roughness".
-ParameterDict = dict[str, Tensor]
-
-
-def component_names(model: Lobe) -> list[dict[str, str]]:
-    """Of each component of a model the full names of its parameters, by their own."""
-    prefixes = {id(module): name for name, module in model.named_modules()}
-    found = []
-    for part in model.components():
-        prefix = prefixes[id(part)]
-        found.append({name: f"{prefix}.{name}" if prefix else name for name in part.parameter_specs})
-    return found
-
-
-def named_specs(model: Lobe) -> dict[str, BoundedParameter]:
-    """What a model declares of each parameter, by full name, component after component."""
-    names = component_names(model)
-    return {
-        full: part.parameter_specs[name]
-        for part, own in zip(model.components(), names, strict=True)
-        for name, full in own.items()
-    }
 
 
 def diffuse_components(model: Lobe) -> list[int]:
@@ -45,27 +21,6 @@ def diffuse_components(model: Lobe) -> list[int]:
 def specular_components(model: Lobe) -> list[int]:
     """Which are not."""
     return [k for k, part in enumerate(model.components()) if not isinstance(part, Lambert)]
-
-
-def get_parameters(model: Lobe) -> ParameterDict:
-    """The parameters of a model, detached."""
-    own = dict(model.named_parameters())
-    return {name: own[name].detach() for name in named_specs(model)}
-
-
-def with_parameters(model: Lobe, values: ParameterDict) -> Lobe:
-    """A copy of a model with these parameters, where a single number is spread over the channels."""
-    made = copy.deepcopy(model)
-    specs = named_specs(made)
-    for name, parameter in made.named_parameters():
-        value = values[name]
-        parameter.data = value.expand(len(value), *specs[name].shape).to(parameter).clone()
-    return made
-
-
-def take(values: ParameterDict, rows: Tensor | list[int] | slice) -> ParameterDict:
-    """The parameters of some materials, by index."""
-    return {name: value[rows] for name, value in values.items()}
 
 
 @dataclass(frozen=True)

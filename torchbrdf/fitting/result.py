@@ -101,21 +101,20 @@ class FitResult:
 
 def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     """Which fitted parameters ended at a bound, such as `roughness[1] = 0.5` for the second lobe's."""
-    lower, upper = model.bounds
-    packed = model.pack()[material]
     count = -1
     found: list[str] = []
-    names: list[str | None] = []
-    for part in model.components():
-        held = isinstance(part, Lambert)
-        count += not held
-        for name, bounded in part.parameter_specs.items():
-            names += [None if held and not diffuse else "diffuse" if held else f"{name}[{count}]"] * bounded.size
-    for label, value, low, high in zip(names, packed.tolist(), lower.tolist(), upper.tolist(), strict=True):
-        close = 1e-6 * max(abs(low), abs(high))
-        if label and (value <= low + min(close, 1e-3 * abs(low)) or value >= high - close):
-            text = f"{label} = {value:g}"
-            found += [text] if text not in found else []
+    for component in model.components():
+        is_diffuse = isinstance(component, Lambert)
+        count += not is_diffuse
+        if is_diffuse and not diffuse:
+            continue
+        for name, spec in component.parameter_specs.items():
+            label = "diffuse" if is_diffuse else f"{name}[{count}]"
+            close = 1e-6 * max(abs(spec.lower), abs(spec.upper))
+            low, high = spec.lower + min(close, 1e-3 * abs(spec.lower)), spec.upper - close
+            values = getattr(component, name)[material].flatten().tolist()
+            # Channels at the same bound are said once.
+            found += dict.fromkeys(f"{label} = {value:g}" for value in values if value <= low or value >= high)
     return found
 
 

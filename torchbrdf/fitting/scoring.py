@@ -8,9 +8,9 @@ from torch import Tensor
 
 from torchbrdf.fitting.basis import predictor
 from torchbrdf.fitting.objective import channels
-from torchbrdf.fitting.parameters import get_parameters, take, with_parameters
 from torchbrdf.fitting.sampling import chunked
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 from torchbrdf.parallel import process_map, thread_map
@@ -94,7 +94,9 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
 
     def score_some(rows: list[int]) -> Tensor:
         part = measured.batch(rows)
-        fitted = [with_parameters(model, take(values, rows)) for model, values in zip(models, own, strict=True)]
+        fitted = [
+            with_parameters(model, take_materials(values, rows)) for model, values in zip(models, own, strict=True)
+        ]
         separable = [loss for loss in losses if loss.separable]
         found = {}
         if separable:

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterator
 
 from torchbrdf.fitting.objective import GaussNewtonObjective
-from torchbrdf.fitting.parameters import FreeParameter, ParameterDict, Parametrization, free_parameters
+from torchbrdf.fitting.parameters import FreeParameter, Parametrization, free_parameters
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
+from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.solvers import Solution
 
 # Minimises over some parameters, from some values.

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from torchbrdf.fitting.parameters import ParameterDict
 from torchbrdf.fitting.task import Task
+from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.registry import Registry
 from torchbrdf.solvers import Solution, Status
 

@@ -9,13 +9,13 @@ from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective import FitObjective, GaussNewtonObjective
 from torchbrdf.fitting.parameters import (
     FreeParameter,
-    ParameterDict,
     Parametrization,
     diffuse_components,
     free_parameters,
     specular_components,
 )
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.solvers import Solution, minimize_lbfgs, minimize_levenberg_marquardt
 
 

@@ -343,35 +343,6 @@ class Lobe(_Declared):
                 setattr(part, name, nn.Parameter(value))
         return made
 
-    def named_specs(self) -> list[tuple["Lobe", BoundedParameter]]:
-        """Every parameter of every part, in the order of `pack`."""
-        return [(part, spec) for part in self.components() for spec in part.parameter_specs.values()]
-
-    def pack(self) -> Tensor:
-        """All parameters beside each other, `(M, P)`, detached; `(P,)` if not batched."""
-        values = [
-            getattr(part, spec.name).detach().flatten(start_dim=-len(spec.shape)) for part, spec in self.named_specs()
-        ]
-        return torch.cat(values, -1)
-
-    def unpack(self, packed: Tensor) -> Self:
-        """A copy with the parameters of `packed`, as `pack` orders them, `(..., P)`."""
-        sizes = [spec.size for _, spec in self.named_specs()]
-        if packed.shape[-1:] != (sum(sizes),):
-            raise ShapeError(f"unpack: expected (..., {sum(sizes)}), found {(*packed.shape,)}")
-        made = copy.deepcopy(self)
-        for (part, spec), value in zip(made.named_specs(), packed.detach().split(sizes, -1), strict=True):
-            setattr(part, spec.name, nn.Parameter(value.reshape(*value.shape[:-1], *spec.shape).clone()))
-        return made
-
-    @property
-    def bounds(self) -> tuple[Tensor, Tensor]:
-        """Lower and upper bounds, `(P,)` each, in the order of `pack`."""
-        lower = [torch.full((spec.size,), spec.lower) for _, spec in self.named_specs()]
-        upper = [torch.full((spec.size,), spec.upper) for _, spec in self.named_specs()]
-        like = self.pack()
-        return torch.cat(lower).to(like), torch.cat(upper).to(like)
-
 
 def _signature(lobe: type[Lobe]) -> inspect.Signature:
     """The arguments of a lobe's constructor, as `help` and editors that run the code show them."""

@@ -12,6 +12,7 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.files import write_json
 from torchbrdf.lobes.model import from_parameters
+from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
 from torchbrdf.lobes.sum import Sum
 
 NEEDED = ("material", "model", "lobes", "parameters")
@@ -137,16 +138,26 @@ def model_of(records: Sequence[FitRecord]) -> Sum:
         A model of M materials, in their order.
 
     Raises:
-        DataError: Parameters are not those of the model that is named.
+        DataError: Parameters are not those of the model that is named, or records differ in kind or number of lobes.
 
     Example:
         >>> from torchbrdf.lobes import Ward, Lambert, Sum, parameters
         >>> paint = FitRecord("paint", "ward", 1, parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward())))
-        >>> model_of([paint, paint]).pack().shape
-        torch.Size([2, 7])
+        >>> model_of([paint, paint])
+        Sum(
+          (lobes): ModuleList(
+            (0): Lambert(albedo=<2 x 3>)
+            (1): Ward(specular=<2 x 3>, roughness=<2 x 1>)
+          )
+        )
     """
     models = [from_parameters(record.model, record.parameters) for record in records]
-    return models[0].unpack(torch.stack([model.pack() for model in models]))
+    values = [get_parameters(model) for model in models]
+    kinds = [(record.model, len(own)) for record, own in zip(records, values, strict=True)]
+    for record, kind in zip(records, kinds, strict=True):
+        if kind != kinds[0]:
+            raise DataError(f"{record.material}: expected lobes as {records[0].material} has, found {kind[0]}")
+    return with_parameters(models[0], {name: torch.stack([own[name] for own in values]) for name in values[0]})
 
 
 def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
@@ -82,6 +83,9 @@ def _shaders(brdf: Brdf) -> list[list[Shader]]:
         rows = range(len(brdf))
         return [[brdf.batch(rows[start : start + _TABLES]).at] for start in rows[::_TABLES]]
     if isinstance(brdf, Lobe):
-        packed = brdf.pack().to(torch.float32)
-        return [[brdf.unpack(row).to("cpu", torch.float32) for row in packed.reshape(-1, packed.shape[-1])]]
+        specs, values = named_specs(brdf), get_parameters(brdf)
+        materials = max(len(value) if value.dim() > len(specs[name].shape) else 1 for name, value in values.items())
+        values = get_parameters(brdf.batched(materials))
+        own = [take_materials(values, slice(k, k + 1)) for k in range(materials)]
+        return [[with_parameters(brdf, one).to("cpu", torch.float32) for one in own]]
     return [[brdf]]

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective.base import FitObjective
-from torchbrdf.fitting.parameters import ParameterDict, Parametrization, take
+from torchbrdf.fitting.parameters import Parametrization
+from torchbrdf.lobes.parameter_dict import ParameterDict, take_materials
 from torchbrdf.losses import Problem
 
 
@@ -50,7 +51,7 @@ class BoundAutograd:
         own = objective.problem if objective.is_every_material(materials) else objective.problem.select(materials)
         with torch.enable_grad():
             point = x.detach().requires_grad_()
-            here = take(self.values, rows) | self.parametrization.decode(point, own.target.dtype)
+            here = take_materials(self.values, rows) | self.parametrization.decode(point, own.target.dtype)
             prediction = self.parametrization.predict(here, own.pairs).expand_as(own.target)
             value = objective.value(prediction, own) / objective.zero_prediction_error[materials]
             if not value.requires_grad:

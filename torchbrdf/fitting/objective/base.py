@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.fitting.basis import Basis
-from torchbrdf.fitting.parameters import ParameterDict, Parametrization, take
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import stratified
+from torchbrdf.lobes.parameter_dict import ParameterDict, take_materials
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.solvers import FirstOrder
 
@@ -163,5 +164,5 @@ class BoundObjective:
     def _evaluate(
         self, x: Tensor, rows: Tensor, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor]:
-        here = take(self.values, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
+        here = take_materials(self.values, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
         return self.objective.evaluate(self._basis, here, self.materials[rows], self.scale[rows], width, curvature)

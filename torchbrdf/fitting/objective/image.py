@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
-from torchbrdf.fitting.parameters import ParameterDict
 from torchbrdf.fitting.sampling import Chunks
+from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import ImageLoss, Problem
 
 

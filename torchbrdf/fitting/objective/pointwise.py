@@ -12,8 +12,8 @@ from torch import Tensor
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective import channels
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
-from torchbrdf.fitting.parameters import ParameterDict
 from torchbrdf.fitting.sampling import Chunks, chunked
+from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import Loss, Problem
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import LOBES, Lambert, Sum
+from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.measured.merl import CHANNEL_FACTORS
 
 ORIGIN = "the fits of https://github.com/bsdfbenchmark/bbm, folder fits/, collected as one JSON file"
@@ -150,7 +151,9 @@ class PublishedFits:
         missing = [name for name in materials if name not in row]
         if missing:
             raise UsageError(f"{self.name}: expected one of its {len(self)} materials, found {missing[0]!r}")
-        return self.model.unpack(self.model.pack()[[row[name] for name in materials]])
+        return with_parameters(
+            self.model, take_materials(get_parameters(self.model), [row[name] for name in materials])
+        )
 
 
 def read_published(

@@ -1,0 +1,55 @@
+"""The parameters of a model as a dictionary, by the names that the model's modules give them."""
+
+import copy
+from typing import TypeVar
+
+from torch import Tensor
+
+from torchbrdf.lobes.base import BoundedParameter, Lobe
+
+AnyLobe = TypeVar("AnyLobe", bound=Lobe)
+
+# Values for M materials, `(M, *shape)`, or `(M, 1)` where one number serves all channels, by the names that the model's
+# `named_parameters` have, such as "lobes.1.roughness".
+ParameterDict = dict[str, Tensor]
+
+
+def component_names(model: Lobe) -> list[dict[str, str]]:
+    """Of each component of a model the full names of its parameters, by their own."""
+    prefixes = {id(module): name for name, module in model.named_modules()}
+    found = []
+    for part in model.components():
+        prefix = prefixes[id(part)]
+        found.append({name: f"{prefix}.{name}" if prefix else name for name in part.parameter_specs})
+    return found
+
+
+def named_specs(model: Lobe) -> dict[str, BoundedParameter]:
+    """What a model declares of each parameter, by full name, component after component."""
+    names = component_names(model)
+    return {
+        full: part.parameter_specs[name]
+        for part, own in zip(model.components(), names, strict=True)
+        for name, full in own.items()
+    }
+
+
+def get_parameters(model: Lobe) -> ParameterDict:
+    """The parameters of a model, detached."""
+    own = dict(model.named_parameters())
+    return {name: own[name].detach() for name in named_specs(model)}
+
+
+def with_parameters(model: AnyLobe, values: ParameterDict) -> AnyLobe:
+    """A copy of a model with these parameters, where a single number is spread over the channels."""
+    made = copy.deepcopy(model)
+    specs = named_specs(made)
+    for name, parameter in made.named_parameters():
+        value = values[name]
+        parameter.data = value.expand(len(value), *specs[name].shape).to(parameter).clone()
+    return made
+
+
+def take_materials(values: ParameterDict, rows: Tensor | list[int] | slice) -> ParameterDict:
+    """The parameters of some materials, by index."""
+    return {name: value[rows] for name, value in values.items()}
