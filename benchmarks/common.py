@@ -25,13 +25,13 @@ def lobes_of(name, measured, count=2):
 
 def by_graph(values, free, part, loss):
     """The squared error of one material and its exact gradient, as a user gets them from torch's autograd."""
-    black = loss.error(torch.zeros_like(part.values), part.values, part.pairs).item() ** 2
+    zero_prediction_error = loss.error(torch.zeros_like(part.values), part.values, part.pairs).item() ** 2
 
     def objective(x):
         with torch.enable_grad():
             point = torch.tensor(x[None], requires_grad=True)
             here = values | free.decode(point, part.values.dtype)
-            error = loss.error(free.predict(here, part.pairs), part.values, part.pairs).square() / black
+            error = loss.error(free.predict(here, part.pairs), part.values, part.pairs).square() / zero_prediction_error
             (gradient,) = torch.autograd.grad(error.sum(), point)
         return error.item(), gradient[0].numpy()
 
@@ -53,8 +53,8 @@ def scipy_staged(model, values, part, loss):
     scalars = [free_parameters(model, range(1, count + 1), scalar_albedo=True) for count in (1, 2)]
     albedos = [one for one in free_parameters(model, (1, 2)) if one.spec.linear]
     evaluations = 0
-    for moved, components in ((scalars[0], (0, 1)), (scalars[1], None), (albedos, None)):
-        free = Parametrization(model, moved, components)
+    for step, components in ((scalars[0], (0, 1)), (scalars[1], None), (albedos, None)):
+        free = Parametrization(model, step, components)
         x, calls = scipy_fit(by_graph(values, free, part, loss), free.encode(values)[0].numpy(), free)
         values = values | free.decode(torch.from_numpy(np.ascontiguousarray(x))[None], part.values.dtype)
         evaluations += calls

@@ -43,13 +43,13 @@ def best_of(measured, name, loss, k):
 
         return call, objective.zero_prediction_error.sqrt().item()
 
-    few = part.batch(samples=stratified(len(part.pairs), SAMPLES, SEED))
-    call, _ = value_and_gradient(Problem(few.pairs, few.values))
+    subset = part.batch(samples=stratified(len(part.pairs), SAMPLES, SEED))
+    call, _ = value_and_gradient(Problem(subset.pairs, subset.values))
     points = low + (high - low) * np.random.default_rng(SEED).random((STARTS, len(low)))
     ends = [scipy_fit(call, x, free, maxfun=400)[0] for x in points]
     ends.sort(key=lambda x: call(x)[0])
-    call, black = value_and_gradient(Problem(part.pairs, part.values))
-    return min(call(scipy_fit(call, x, free, maxfun=300)[0])[0] for x in ends[:FINISHED]) ** 0.5 * black
+    call, zero_prediction_error = value_and_gradient(Problem(part.pairs, part.values))
+    return min(call(scipy_fit(call, x, free, maxfun=300)[0])[0] for x in ends[:FINISHED]) ** 0.5 * zero_prediction_error
 
 
 def main(folder, path="reference.json"):

@@ -25,8 +25,8 @@ from torchbrdf.solvers import minimize_levenberg_marquardt
 
 def same_pairs(measured, name, loss, samples, count=2):
     """CPU seconds and errors of scipy and of ours, from the same random starts."""
-    few = measured.batch(samples=stratified(len(measured.pairs), samples, 0))
-    few.values  # noqa: B018 (read before the clock starts)
+    subset = measured.batch(samples=stratified(len(measured.pairs), samples, 0))
+    subset.values  # noqa: B018 (read before the clock starts)
     model, values, free = lobes_of(name, measured, count)
     low, high = free.limits()
     generator = torch.Generator().manual_seed(0)
@@ -35,11 +35,11 @@ def same_pairs(measured, name, loss, samples, count=2):
     with Timer() as scipy_timer:
         for k in range(len(measured)):
             own = {key: value[k : k + 1] for key, value in values.items()}
-            objective = by_graph(own, free, few.batch([k]), loss)
+            objective = by_graph(own, free, subset.batch([k]), loss)
             x, _ = scipy_fit(objective, start[k].numpy(), free, ftol=1e-9, gtol=1e-9)
             theirs.append(objective(x)[0])
     with Timer() as timer:
-        bound = make_objective(model, Problem(few.pairs, few.values), loss).bind(free, values)
+        bound = make_objective(model, Problem(subset.pairs, subset.values), loss).bind(free, values)
         found = minimize_levenberg_marquardt(bound, start, low, high, ftol=1e-9, fmin=1.0, max_iterations=300)
         ours = found.value.tolist()
     ratios = sorted((a / b) ** 0.5 for a, b in zip(ours, theirs, strict=True))

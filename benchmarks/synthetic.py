@@ -24,12 +24,12 @@ def truth(name, materials, generator):
     """Batched models with random parameters: shapes uniform on the solver's scale, albedos that add up to below 1."""
     model = make_model(name, 2).batched(materials)
     for k, part in enumerate(model.components()):
-        for key, bounded in part.parameter_specs.items():
-            low, high = torch.tensor([bounded.lower, bounded.upper]).double()
-            u = torch.rand(materials, bounded.size, generator=generator, dtype=torch.float64)
-            if bounded.linear:
+        for key, spec in part.parameter_specs.items():
+            low, high = torch.tensor([spec.lower, spec.upper]).double()
+            u = torch.rand(materials, spec.size, generator=generator, dtype=torch.float64)
+            if spec.linear:
                 value = u * (0.5 if k == 0 else 0.3) + 0.02
-            elif bounded.log:
+            elif spec.log:
                 value = ((low.log() * 0.7 + high.log() * 0.3) * (1 - u) + high.log() * u).exp()
             else:
                 value = low + (high - low) * u

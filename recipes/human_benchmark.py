@@ -42,9 +42,9 @@ class HumanBenchmark(HumanAnswersRecipe):
         samples, replicates, size = self.samples, self.replicates, self.size
         if self.quick:
             samples, replicates, size = 500, min(replicates, 200), min(size, 24)
-        subjects = synthetic_benchmark(seed=self.seed) if self.quick else self.read_benchmark_data()
+        data = synthetic_benchmark(seed=self.seed) if self.quick else self.read_benchmark_data()
         pairs = uniform_pairs(samples, self.max_theta, self.seed)
-        benchmark = Benchmark(folder, subjects)
+        benchmark = Benchmark(folder, data)
         benchmark.score_values(self.losses or LOSSES, pairs)
         if self.images:
             scene = Scene(sphere(), Camera(), Environment.default(), size=size, cache=folder.path / "cache")
@@ -53,16 +53,16 @@ class HumanBenchmark(HumanAnswersRecipe):
             benchmark.add_published(Path(self.human) / LAGUNAS)
         if not benchmark.distances:
             raise UsageError(f"{self.name}: no loss could be scored")
-        statistics = statistics_of(subjects.triplets, subjects.opinions)
+        statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         benchmark.write(table)
         said = HumanPage(
-            made_up=self.quick,
-            stand_in=subjects.stand_in,
+            synthetic=self.quick,
+            stand_in=data.stand_in,
             images=self.images,
             left_out=benchmark.left_out,
             pairs=len(pairs),
             max_theta=self.max_theta,
             replicates=replicates,
         )
-        return write_human_report(folder.path, table, subjects, said)
+        return write_human_report(folder.path, table, data, said)

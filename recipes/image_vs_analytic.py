@@ -43,7 +43,7 @@ class ImageVsAnalytic(FitGridRecipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.expect_names("rendered", "differences")
-        if "delta_e76" not in self.differences:
+        if "delta_e76" not in map(DIFFERENCES.canonical, self.differences):
             raise UsageError(f"{self.name}: differences: expected delta_e76 among them, by which the report sorts")
         for key in (*self.rendered, *self.differences):
             least = DIFFERENCES[key].least_side

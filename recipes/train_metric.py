@@ -57,8 +57,8 @@ class TrainMetric(HumanAnswersRecipe):
         }
         sources = []
         if self.human or (self.quick and not self.study):
-            subjects = self.read_benchmark_data() if self.human else synthetic_benchmark(seed=self.seed)
-            sources.append(published_data(subjects, pairs, losses, self.leave_out, made_up=not self.human))
+            benchmark_data = self.read_benchmark_data() if self.human else synthetic_benchmark(seed=self.seed)
+            sources.append(published_data(benchmark_data, pairs, losses, self.leave_out, synthetic=not self.human))
         if self.study:
             sources.append(study_data(Path(self.study), Path(self.answers), pairs, losses))
         data = join_data(sources)

@@ -25,7 +25,7 @@ def data() -> Path:
 
 @pytest.fixture(scope="session")
 def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A MERL table with made-up entries, 35 MB: `measured_files.made_up_raw(0)`."""
-    from helpers.measured_files import made_up_raw, write_raw_merl
+    """A MERL table with made-up entries, 35 MB: `measured_files.synthetic_raw(0)`."""
+    from helpers.measured_files import synthetic_raw, write_raw_merl
 
-    return write_raw_merl(tmp_path_factory.mktemp("merl") / "made-up.binary", made_up_raw(0))
+    return write_raw_merl(tmp_path_factory.mktemp("merl") / "made-up.binary", synthetic_raw(0))

@@ -35,8 +35,8 @@ def test_a_value_that_json_cannot_hold_leaves_the_file_as_it_was(tmp_path):
 
 
 def test_a_part_counts_on_from_what_was_done_before():
-    told = []
-    part = part_of(lambda done, total: told.append((done, total)), 10, 30)
+    calls = []
+    part = part_of(lambda done, total: calls.append((done, total)), 10, 30)
     part(1, 5)
     part(5, 5)
-    assert told == [(11, 30), (15, 30)]
+    assert calls == [(11, 30), (15, 30)]

@@ -8,12 +8,14 @@ import torch
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment import ONLY, FitGrid, Pictures
 from torchbrdf.experiment.grid import picture_name
+from torchbrdf.experiment.labels import difference_label
 from torchbrdf.experiment.pictures import color_difference
 from torchbrdf.images import DIFFERENCES, ToneMap, read_image
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, read_fits, write_fits
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import load_all
 from torchbrdf.recipe import RunFolder
+from torchbrdf.recipes.image_vs_analytic import ImageVsAnalytic
 from torchbrdf.render import Camera, Environment, Scene, sphere
 
 SIZE = 16
@@ -98,7 +100,7 @@ def test_one_scene_gives_differences_and_a_tone_map_of_all_pictures(grid):
         }
         assert record.differences == pytest.approx(expected, rel=1e-4, abs=1e-6) and not record.pictures
         assert (record.differences["delta_e76"] < 1e-6) == (record.loss == "rms")
-    assert pictures.seen(ONLY) == grid.shown
+    assert pictures.records_in(ONLY) == grid.shown
 
 
 def test_two_scenes_have_folders_tone_maps_and_differences_of_their_own(grid):
@@ -113,7 +115,7 @@ def test_two_scenes_have_folders_tone_maps_and_differences_of_their_own(grid):
         assert (renders / name / "map-paint-ward-log.png").stat().st_size > 0
     record = grid.record("paint", "ward", "log")
     assert set(record.pictures) == {"here", "there"} and not record.differences
-    seen = next(one for one in pictures.seen("there") if (one.material, one.loss) == ("paint", "log"))
+    seen = next(one for one in pictures.records_in("there") if (one.material, one.loss) == ("paint", "log"))
     assert seen.differences == record.pictures["there"] != record.pictures["here"]
 
 
@@ -134,3 +136,11 @@ def test_a_colour_difference_is_a_length_in_cielab():
     black, white = torch.zeros(2, 2, 3), torch.ones(2, 2, 3)
     torch.testing.assert_close(color_difference(black, white), torch.full((2, 2), 100.0), atol=0.1, rtol=0)
     assert (color_difference(white, white) == 0).all()
+
+
+def test_differences_are_known_by_the_names_that_they_had(grid):
+    assert Pictures(grid, {}, ("delta_e", "flip", "delta_e76")).differences == ["delta_e76", "flip"]
+    assert ImageVsAnalytic(differences=("delta_e",)).differences == ("delta_e",)
+    with pytest.raises(UsageError, match="expected delta_e76 among them"):
+        ImageVsAnalytic(differences=("flip",))
+    assert difference_label("delta_e") == difference_label("delta_e76")

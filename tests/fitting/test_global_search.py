@@ -14,11 +14,12 @@ from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.fitting.scoring import material_batches
 from torchbrdf.fitting.task import levenberg_marquardt_fit
-from torchbrdf.lobes import LOBES, DistributionBased, Lambert, Sum, Ward, make_model, read_fits
+from torchbrdf.lobes import LOBES, DistributionBased, FitRecord, Lambert, Sum, Ward, make_model, read_fits, write_fits
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
+from torchbrdf.render import RenderedLoss, Scene, sphere
 
 LOSS_NAMES = list(LOSSES)
 # Every lobe with some loss, every loss with some lobe.
@@ -31,8 +32,8 @@ def test_it_finds_what_a_model_was_made_from(name, loss_name):
     model, loss = two_lobes(name, 2), LOSSES[loss_name]()
     measured = Measured(Made(model, some_pairs()), dtype=torch.float64)
     result = fit(make_model(name, 2), measured, loss, diffuse="fit", samples=None)
-    black = loss.error(torch.zeros_like(measured.values), measured.values, measured.pairs)
-    assert (result.error < 0.01 * black).all()
+    zero_prediction_error = loss.error(torch.zeros_like(measured.values), measured.values, measured.pairs)
+    assert (result.error < 0.01 * zero_prediction_error).all()
     assert result.status == [Status.CONVERGED] * 2
     starts, best = (stage.name for stage in result.history)
     assert starts.startswith("7 starts, ") and best.startswith("best 3, ")
@@ -77,8 +78,8 @@ def test_starts_are_near_the_truth(name, lobes):
         assert len(torch.unique(shapes[:, material], dim=0)) == 4
     best = Parametrization(model, []).predict(take_materials(found, slice(2)), pairs)  # the best start of each
     error = CosineRMSLoss("none")(best, values, pairs)
-    black = CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
-    assert (error < (0.7 if lobes == 1 else 0.35) * black).all()
+    zero_prediction_error = CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
+    assert (error < (0.7 if lobes == 1 else 0.35) * zero_prediction_error).all()
     for one in free_parameters(model, range(lobes + 1)):
         value = found[one.name]
         assert value.shape[0] == 8 and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
@@ -109,10 +110,10 @@ def test_starts_are_exact_where_a_shape_is_on_the_grid(name):
     """Of every registered lobe, with a colour anywhere within its bounds."""
     pairs, kind, model = some_pairs(1000), LOBES[name], make_model(name, 1, torch.float64).batched(1)
     lobe = model.components()[1]
-    for bounded in kind.scalars():
+    for spec in kind.scalars():
         size = max(2, round(16 ** (1 / sum(not one.affine for one in kind.scalars()))))
-        place = torch.tensor([[0.3 if bounded.affine else (size // 2 + 0.5) / size]], dtype=torch.float64)
-        getattr(lobe, bounded.name).data = from_unit(bounded, place)
+        place = torch.tensor([[0.3 if spec.affine else (size // 2 + 0.5) / size]], dtype=torch.float64)
+        getattr(lobe, spec.name).data = from_unit(spec, place)
     color = kind.albedo_spec()
     getattr(lobe, color.name).data = color.upper * torch.tensor([[0.3, 0.5, 0.7]], dtype=torch.float64)
     values, loss = model(pairs).detach(), RMSLoss()
@@ -271,6 +272,14 @@ def test_fits_of_before_are_known_by_the_names_that_losses_had(tmp_path):
     assert Batches(make_model("ward", 1), CosineRMSLoss(), out=tmp_path, samples=None).done.keys() == {
         measured.names[0]
     }
+
+
+def test_fits_of_before_are_known_by_the_names_that_image_differences_had(tmp_path):
+    loss = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=4), "delta_e")
+    settings = {"strategy": "staged", "diffuse": "fit", "samples": None}
+    record = FitRecord("paint", "ward", 1, {}, loss="rendered_delta_e", scene=loss.scene_summary, **settings)
+    write_fits(tmp_path / "fits.json", [record])
+    assert Batches(make_model("ward", 1), loss, out=tmp_path, **settings).done.keys() == {"paint"}
 
 
 # --- processes ----------------------------------------------------------------------------------------------------

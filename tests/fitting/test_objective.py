@@ -17,10 +17,10 @@ from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_mat
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Loss, Problem, RMSLoss, derivatives
 from torchbrdf.pairs import Pairs
 
-KINDS = ("all", "scalar", "colors")
+FREE_KINDS = ("all", "scalar", "colors")
 # Every lobe with every loss, and each of both with everything else: kinds of parameters, shared pairs, weights.
 COMBINED = [
-    (lobe, loss, KINDS[(i + j) % 3], bool((i + j // 3) % 2), bool((i // 2 + j) % 2))
+    (lobe, loss, FREE_KINDS[(i + j) % 3], bool((i + j // 3) % 2), bool((i // 2 + j) % 2))
     for (i, lobe), (j, loss) in itertools.product(enumerate(COLORED), enumerate(LOSSES))
 ]
 
@@ -42,11 +42,11 @@ def model_of(name, materials):
     generator = torch.Generator().manual_seed(4)
     model = Sum(Lambert(), LOBES[name](), LOBES[name]()).batched(materials).double()
     for part in model.components():
-        for key, bounded in part.parameter_specs.items():
-            u = 0.3 + 0.4 * torch.rand(materials, bounded.size, generator=generator, dtype=torch.float64)
-            low, high = torch.tensor([bounded.lower, bounded.upper]).double()
-            value = (low.log() + u * (high / low).log()).exp() if bounded.log else low + u * (high - low)
-            getattr(part, key).data = value.reshape(materials, *bounded.shape)
+        for key, spec in part.parameter_specs.items():
+            u = 0.3 + 0.4 * torch.rand(materials, spec.size, generator=generator, dtype=torch.float64)
+            low, high = torch.tensor([spec.lower, spec.upper]).double()
+            value = (low.log() + u * (high / low).log()).exp() if spec.log else low + u * (high - low)
+            getattr(part, key).data = value.reshape(materials, *spec.shape)
     return model
 
 
@@ -118,7 +118,7 @@ def test_closed_derivatives_are_forward_modes(name):
     """What a lobe says of itself, beside what `Lobe` works out for any lobe."""
     kind, pairs = LOBES[name], problem(1, True, False).pairs
     part = model_of(name, 3).components()[1]
-    scalars = [getattr(part, bounded.name).detach() for bounded in kind.scalars()]
+    scalars = [getattr(part, spec.name).detach() for spec in kind.scalars()]
     own = kind.value_and_jacobian(pairs, *scalars)
     general = Lobe.value_and_jacobian.__func__(kind, pairs, *scalars)
     assert len(own) == len(general) == 1 + len(scalars)
@@ -214,11 +214,13 @@ def test_some_components_and_one_number_for_a_colour():
     model = model_of("ward", 2)
     free = parametrization(model, "scalar")
     values = get_parameters(model)
-    moved = values | free.decode(free.encode(values), torch.float64)
-    assert moved["lobes.1.specular"].shape == (2, 1)
-    gray = with_parameters(model, moved)
+    gray_values = values | free.decode(free.encode(values), torch.float64)
+    assert gray_values["lobes.1.specular"].shape == (2, 1)
+    gray = with_parameters(model, gray_values)
     pairs = problem(1, True, False).pairs
-    torch.testing.assert_close(free.predict(moved, pairs), gray.components()[0](pairs) + gray.components()[1](pairs))
+    torch.testing.assert_close(
+        free.predict(gray_values, pairs), gray.components()[0](pairs) + gray.components()[1](pairs)
+    )
 
 
 def test_a_lobe_alone_is_a_model():

@@ -64,6 +64,6 @@ def measured_from(model, pairs=None, materials=1):
 def assert_within_bounds(model):
     """Every parameter of a model, but for rounding."""
     for part in model.components():
-        for name, bounded in part.parameter_specs.items():
+        for name, spec in part.parameter_specs.items():
             value = getattr(part, name)
-            assert ((value >= bounded.lower - 1e-12) & (value <= bounded.upper * (1 + 1e-9))).all(), name
+            assert ((value >= spec.lower - 1e-12) & (value <= spec.upper * (1 + 1e-9))).all(), name

@@ -24,7 +24,7 @@ def merl_above():
     return (wi_z > 0) & (wo_z > 0)
 
 
-def made_up_raw(seed=0):
+def synthetic_raw(seed=0):
     """Entries of a MERL table, (3, 90, 90, 180): noisy, 1 in 20 bins invalid in one way or another, and a big hole."""
     rng = np.random.default_rng(seed)
     theta_h, theta_d, _ = merl_centres()
@@ -69,7 +69,7 @@ def tensor_file(fields):
     return head + b"".join(table) + b"".join(array.tobytes() for array in fields.values())
 
 
-def made_up_bsdf(seed=0, size=8, density=16, angles=5):
+def synthetic_bsdf(seed=0, size=8, density=16, angles=5):
     """Fields of an isotropic RGB measurement in the arrangement of the RGL database."""
     rng = np.random.default_rng(seed)
     grid = np.linspace(0, 1, density)

@@ -135,7 +135,11 @@ class Studio:
             "to_world": mi.ScalarTransform4f().look_at(origin=list(eye), target=list(eye - axes[2]), up=list(axes[1])),
             "film": {"type": "hdrfilm", "width": len(where), "height": len(where)},
         }
-        lights = [_surroundings(mi, light)] if isinstance(light, Environment) else [_punctual(lamp) for lamp in light]
+        lights = (
+            [_surroundings(mi, light)]
+            if isinstance(light, Environment)
+            else [_punctual(punctual_light) for punctual_light in light]
+        )
         self._sensor = mi.load_dict(sensor)
         self._integrator = mi.load_dict({"type": "direct", "hide_emitters": True})
         self._lights = {f"light{k}": mi.load_dict(one) for k, one in enumerate(lights)}
@@ -189,12 +193,12 @@ def _surroundings(mi: ModuleType, environment: Environment) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(picture.numpy()), "to_world": turn}
 
 
-def _punctual(lamp: PunctualLight) -> dict[str, Any]:
-    if isinstance(lamp, PointLight):
-        return {"type": "point", "position": list(lamp.position), "intensity": _rgb(lamp.intensity)}
+def _punctual(punctual_light: PunctualLight) -> dict[str, Any]:
+    if isinstance(punctual_light, PointLight):
+        return {"type": "point", "position": list(punctual_light.position), "intensity": _rgb(punctual_light.intensity)}
     # Its direction is that in which the light goes.
-    away = [-x for x in lamp.direction]
-    return {"type": "directional", "direction": away, "irradiance": _rgb(lamp.irradiance)}
+    away = [-x for x in punctual_light.direction]
+    return {"type": "directional", "direction": away, "irradiance": _rgb(punctual_light.irradiance)}
 
 
 def _rgb(color: Any) -> dict[str, Any]:

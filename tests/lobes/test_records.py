@@ -64,3 +64,9 @@ def test_a_file_of_something_else_is_refused(tmp_path, text, said):
     (tmp_path / "fits.json").write_text(text)
     with pytest.raises(DataError, match=f"expected a list of fits, {said}"):
         read_fits(tmp_path / "fits.json")
+
+
+def test_fits_of_different_models_make_no_batch():
+    one, two = FitRecord("paint", "ward", 1, DULL), read_fits(standins())[0]
+    with pytest.raises(DataError, match=f"^{two.material}: expected lobes as paint has"):
+        model_of([one, two])

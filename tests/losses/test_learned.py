@@ -17,7 +17,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.lobes import Lambert, Sum, Ward, make_model
 from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.losses.learned import (
-    BINS,
+    BIN_COUNT,
     FLOOR,
     encode,
     features,
@@ -93,7 +93,7 @@ def test_other_pairs_give_nearly_the_same() -> None:
 
 def test_bins_share_every_pair() -> None:
     bins = soft_bins(PAIRS)
-    assert bins.shape == (2000, BINS) and float(bins.min()) >= 0
+    assert bins.shape == (2000, BIN_COUNT) and float(bins.min()) >= 0
     torch.testing.assert_close(bins.sum(-1), torch.ones(2000, dtype=torch.float64))
 
 

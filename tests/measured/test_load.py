@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from helpers.measured_files import made_up_bsdf, tensor_file
+from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured import FORMATS, MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, load, load_all, merl_name
@@ -18,7 +18,7 @@ def folder(tmp_path, merl_file):
     place.mkdir()
     os.link(merl_file, place / "b.binary")
     os.link(merl_file, place / "a.dat")
-    (place / "felt_rgb").write_bytes(tensor_file(made_up_bsdf()))
+    (place / "felt_rgb").write_bytes(tensor_file(synthetic_bsdf()))
     (place / "notes.txt").write_text("notes")
     (place / "empty.txt").touch()
     (place / ".hidden.binary").write_text("no")
@@ -56,7 +56,7 @@ def test_names_are_made_unique(tmp_path):
     paths.append(tmp_path / "two" / "silk.bsdf")
     for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(tensor_file(made_up_bsdf()))
+        path.write_bytes(tensor_file(synthetic_bsdf()))
     assert load(paths).names == ["one-felt", "two-felt", "one-felt-2", "silk"]
 
 
@@ -113,7 +113,7 @@ def test_a_folder_of_other_things(tmp_path):
 
 
 def test_unreadable(tmp_path, monkeypatch):
-    (tmp_path / "x.bsdf").write_bytes(tensor_file(made_up_bsdf()))
+    (tmp_path / "x.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
 
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.measured_files import made_up_bsdf, made_up_raw, merl_above, table_of, tensor_file
+from helpers.measured_files import merl_above, synthetic_bsdf, synthetic_raw, table_of, tensor_file
 
 from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.measured import Measured, describe, load
@@ -24,7 +24,7 @@ def table(merl_file):
 @pytest.fixture
 def felts(tmp_path):
     for k, size in enumerate((6, 8, 7)):
-        (tmp_path / f"felt{k}.bsdf").write_bytes(tensor_file(made_up_bsdf(k, size)))
+        (tmp_path / f"felt{k}.bsdf").write_bytes(tensor_file(synthetic_bsdf(k, size)))
     return load(tmp_path, dtype=torch.float64)
 
 
@@ -106,7 +106,7 @@ def test_hundred_tables_cost_little_memory(merl_file, tmp_path):
 
 
 def test_describe_a_merl_table(merl_file):
-    values, valid = table_of(made_up_raw(0))
+    values, valid = table_of(synthetic_raw(0))
     facts = describe(merl_file)
     assert facts["format"] == "merl"
     assert facts["bytes"] == 34_992_012
@@ -123,7 +123,7 @@ def test_describe_a_merl_table(merl_file):
 
 
 def test_describe_an_rgl_file(tmp_path):
-    fields = made_up_bsdf()
+    fields = synthetic_bsdf()
     (tmp_path / "felt_rgb.bsdf").write_bytes(tensor_file(fields))
     facts = describe(tmp_path / "felt_rgb.bsdf")
     assert facts["materials"] == ["felt"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.measured_files import BINS, SCALE, made_up_raw, merl_above, merl_centres, table_of, write_raw_merl
+from helpers.measured_files import BINS, SCALE, merl_above, merl_centres, synthetic_raw, table_of, write_raw_merl
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,7 +23,7 @@ BYTES = 12 + 3 * 8 * 90 * 90 * 180
 
 @pytest.fixture(scope="module")
 def table():
-    return table_of(made_up_raw(0))
+    return table_of(synthetic_raw(0))
 
 
 @pytest.fixture
@@ -128,9 +128,9 @@ def test_any_values_come_back_within_a_rounding(monkeypatch, tmp_path):
     assert (np.moveaxis(raw, 0, -1) * SCALE == found).all()
 
 
-@pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
-def test_at_the_bin_centres(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
+@pytest.mark.parametrize("largest", [0, 1 << 20], ids=["whole table", "only neighbours"])
+def test_at_the_bin_centres(source, table, monkeypatch, largest):
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", largest)
     values, valid = table
     some = np.random.default_rng(1).choice(np.flatnonzero(valid), 20_000)
     angles = (torch.from_numpy(angle.reshape(-1)[some])[None] for angle in merl_centres())
@@ -144,9 +144,9 @@ def test_at_the_bin_centres(source, table, monkeypatch, few):
     assert ((linear - expected).abs() <= 1e-12 * expected.max()).all()
 
 
-@pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
-def test_at_any_pairs_is_what_a_loop_finds(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
+@pytest.mark.parametrize("largest", [0, 1 << 20], ids=["whole table", "only neighbours"])
+def test_at_any_pairs_is_what_a_loop_finds(source, table, monkeypatch, largest):
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", largest)
     values, valid = table
     pairs = random_pairs(400)
     expected, missing = loop_trilinear(values, valid, fractional(pairs))
@@ -155,9 +155,9 @@ def test_at_any_pairs_is_what_a_loop_finds(source, table, monkeypatch, few):
     assert found.filled.item() == missing.sum()
 
 
-@pytest.mark.parametrize("few", [0, 1 << 20], ids=["whole table", "only neighbours"])
-def test_where_no_neighbour_is_valid_the_nearest_valid_bin_is(source, table, monkeypatch, few):
-    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", few)
+@pytest.mark.parametrize("largest", [0, 1 << 20], ids=["whole table", "only neighbours"])
+def test_where_no_neighbour_is_valid_the_nearest_valid_bin_is(source, table, monkeypatch, largest):
+    monkeypatch.setattr(merl, "LARGEST_DIRECT_LOOKUP", largest)
     values, valid = table
     rng = np.random.default_rng(2)
     place = np.stack([rng.uniform(41, 45, 60), rng.uniform(21, 25, 60), rng.uniform(31, 58, 60)], -1)

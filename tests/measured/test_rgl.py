@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.measured_files import made_up_bsdf, read_bsdf, tensor_file
+from helpers.measured_files import read_bsdf, synthetic_bsdf, tensor_file
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -19,14 +19,14 @@ from torchbrdf.pairs import Pairs
 
 
 @pytest.fixture
-def made_up(tmp_path):
+def synthetic_file(tmp_path):
     path = tmp_path / "made-up_rgb.bsdf"
-    path.write_bytes(tensor_file(made_up_bsdf()))
+    path.write_bytes(tensor_file(synthetic_bsdf()))
     return path
 
 
 def written(tmp_path, **changes):
-    fields = {**made_up_bsdf(), **changes}
+    fields = {**synthetic_bsdf(), **changes}
     path = tmp_path / "changed.bsdf"
     path.write_bytes(tensor_file({name: value for name, value in fields.items() if value is not None}))
     return path
@@ -64,7 +64,7 @@ def check_with_mitsuba(path, count, seed):
 
 
 @pytest.mark.parametrize("factor", [1, 0])
-def test_made_up_file_against_mitsuba(tmp_path, factor):
+def test_synthetic_file_against_mitsuba(tmp_path, factor):
     check_with_mitsuba(written(tmp_path, jacobian=np.array([factor], "u1")), 600, seed=10)
 
 
@@ -99,8 +99,8 @@ def check_samples(path):
     return fields, measured, valid
 
 
-def test_samples_of_a_made_up_file(made_up):
-    check_samples(made_up)
+def test_samples_of_a_synthetic_file(synthetic_file):
+    check_samples(synthetic_file)
 
 
 @pytest.mark.parametrize("name", ["paper_white", "cg_sunflower", "vch_ultra_pink", "satin_purple"])
@@ -117,7 +117,7 @@ def test_samples_of_real_files(data, name):
 @pytest.mark.parametrize("seed", range(3))
 def test_at_the_samples_it_is_the_samples(tmp_path, seed):
     path = tmp_path / "x.bsdf"
-    path.write_bytes(tensor_file(made_up_bsdf(seed)))
+    path.write_bytes(tensor_file(synthetic_bsdf(seed)))
     check_at_samples(path, 1e-6)
 
 
@@ -189,7 +189,7 @@ def test_all_real_files(data):
 
 
 def test_values_that_are_not_finite_are_holes(tmp_path):
-    rgb = made_up_bsdf()["rgb"].copy()
+    rgb = synthetic_bsdf()["rgb"].copy()
     rgb[0, 1, 2, 3, 4] = np.nan
     rgb[0, 2, :, 2:6, 2:6] = np.inf
     measured = load(written(tmp_path, rgb=rgb), dtype=torch.float64)
@@ -204,8 +204,8 @@ def test_values_that_are_not_finite_are_holes(tmp_path):
     assert measured.values.isfinite().all()
 
 
-def test_zero_below_the_horizon_and_bounded_at_it(made_up):
-    measured = load(made_up)
+def test_zero_below_the_horizon_and_bounded_at_it(synthetic_file):
+    measured = load(synthetic_file)
     wi = hemisphere(1, 200, dtype=torch.float32)
     below = wi * torch.tensor([1.0, 1, -1])
     for pair in ((wi, below), (below, wi), (wi, -wi)):
@@ -247,7 +247,7 @@ def test_fields_that_do_not_fit(tmp_path, case):
 
 
 def test_every_truncation_is_an_error(tmp_path):
-    content = tensor_file(made_up_bsdf(size=2, density=2, angles=2))
+    content = tensor_file(synthetic_bsdf(size=2, density=2, angles=2))
     path = tmp_path / "cut.bsdf"
     for end in [*range(400), *range(400, len(content), 7), len(content) - 1]:
         path.write_bytes(content[:end])
@@ -255,7 +255,7 @@ def test_every_truncation_is_an_error(tmp_path):
             load(path)
 
 
-SMALL = tensor_file(made_up_bsdf(size=2, density=3, angles=3))
+SMALL = tensor_file(synthetic_bsdf(size=2, density=3, angles=3))
 HEADER = SMALL.index(b"made up")
 
 

@@ -20,7 +20,7 @@ Array = np.ndarray
 SIZE = 256 * 512 * 3 * 4
 
 
-def made_up(seed: int = 0) -> Array:
+def synthetic_factors(seed: int = 0) -> Array:
     """What a file holds: 100 rows of made-up factors."""
     content = np.zeros((256, 512, 3), "<f4")
     content[:100, :272] = np.random.default_rng(seed).uniform(0.1, 1, (100, 272, 3))
@@ -50,7 +50,7 @@ def row(**factors: float | list[float]) -> FactorModel:
     return FactorModel(content)
 
 
-BINS = list(range(90))
+ALL_BINS = list(range(90))
 
 
 def test_constant_factors_are_lambert_and_a_quotient() -> None:
@@ -64,13 +64,13 @@ def test_constant_factors_are_lambert_and_a_quotient() -> None:
 def test_the_distribution_has_narrow_bins_about_the_normal(theta_h: float, bin_: int) -> None:
     """sqrt(theta_h / 90 * 90 * 90), rounded down; by hand."""
     pairs = slanted(theta_h, theta_h, azimuth=0.0)
-    value = float(row(d=BINS)(pairs)[0, 0, 0]) * math.pi * math.cos(math.radians(theta_h)) ** 2
+    value = float(row(d=ALL_BINS)(pairs)[0, 0, 0]) * math.pi * math.cos(math.radians(theta_h)) ** 2
     assert value == pytest.approx(bin_, abs=1e-9)
 
 
 @pytest.mark.parametrize(("theta_d", "bin_"), [(0, 0), (0.9, 0), (1.1, 1), (45.5, 45), (89.5, 89)])
 def test_the_fresnel_factor_has_bins_of_a_degree(theta_d: float, bin_: int) -> None:
-    value = float(row(f=BINS)(slanted(theta_d, theta_d))[0, 0, 0]) * math.pi * math.cos(math.radians(theta_d)) ** 2
+    value = float(row(f=ALL_BINS)(slanted(theta_d, theta_d))[0, 0, 0]) * math.pi * math.cos(math.radians(theta_d)) ** 2
     assert value == pytest.approx(bin_, abs=1e-9)
 
 
@@ -81,7 +81,7 @@ def test_the_fresnel_factor_has_bins_of_a_degree(theta_d: float, bin_: int) -> N
     [(0, 1.5), (0.25, 1.75), (0.75, 1.25), (1.25, 1.75), (2, 1.5), (45.75, 45.25), (89.75, 0.75 * 89)],
 )
 def test_masking_is_linear_between_centres(theta: float, expected: float) -> None:
-    value = float(row(g=BINS)(slanted(theta, theta))[0, 0, 0]) * math.pi * math.cos(math.radians(theta)) ** 2
+    value = float(row(g=ALL_BINS)(slanted(theta, theta))[0, 0, 0]) * math.pi * math.cos(math.radians(theta)) ** 2
     assert value == pytest.approx(expected**2, rel=1e-9)
 
 
@@ -109,7 +109,7 @@ def listed(name: str) -> str:
 
 
 def test_values_are_those_of_plain_loops(tmp_path: Path) -> None:
-    content = made_up()
+    content = synthetic_factors()
     fits = read_factors(write(tmp_path, content))
     names = ["chrome", "brass", "chrome"]
     rows = [sorted(MERL_NAMES, key=listed).index(name) for name in names]
@@ -134,7 +134,7 @@ def test_what_is_below_the_horizon_is_black() -> None:
 
 def test_float32_is_close_where_no_bin_ends(tmp_path: Path) -> None:
     """A direction at the border of two bins may fall into either; there are few."""
-    model = read_factors(write(tmp_path, made_up())).of(["brass"])
+    model = read_factors(write(tmp_path, synthetic_factors())).of(["brass"])
     pairs = uniform_pairs(4000)
     found = model(pairs.to(dtype=torch.float32))
     exact = model.to(dtype=torch.float64)(pairs)
@@ -144,7 +144,7 @@ def test_float32_is_close_where_no_bin_ends(tmp_path: Path) -> None:
 
 
 def test_names_are_ordered_without_their_marks(tmp_path: Path) -> None:
-    content = made_up()
+    content = synthetic_factors()
     content[:100, 0] = np.arange(100)[:, None]
     fits = read_factors(write(tmp_path, content))
     assert isinstance(fits, FactorFits) and fits.materials == sorted(MERL_NAMES, key=listed)
@@ -175,7 +175,7 @@ def test_a_missing_file_says_where_it_comes_from(tmp_path: Path) -> None:
     ],
 )
 def test_bad_rows_are_named(place: tuple[int, ...], value: float, name: str, tmp_path: Path) -> None:
-    content = made_up()
+    content = synthetic_factors()
     content[place] = value
     path = write(tmp_path, content)
     said = rf"row {place[0]} \({name}\): expected finite factors of at least 0, not all 0"
@@ -186,7 +186,7 @@ def test_bad_rows_are_named(place: tuple[int, ...], value: float, name: str, tmp
 @given(size=st.integers(0, SIZE + 100).filter(lambda size: size != SIZE))
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_files_of_another_size_are_refused(size: int, tmp_path: Path) -> None:
-    path = write(tmp_path, (made_up().tobytes() + bytes(100))[:size])
+    path = write(tmp_path, (synthetic_factors().tobytes() + bytes(100))[:size])
     with pytest.raises(DataError, match=rf"^{path}: expected 1572864 bytes, found {size}$"):
         read_factors(path)
 
@@ -194,7 +194,7 @@ def test_files_of_another_size_are_refused(size: int, tmp_path: Path) -> None:
 @given(noise=st.binary(min_size=1, max_size=64), place=st.integers(0, SIZE - 64))
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_is_in_a_file_gives_finite_rows_or_an_error(noise: bytes, place: int, tmp_path: Path) -> None:
-    content = bytearray(made_up().tobytes())
+    content = bytearray(synthetic_factors().tobytes())
     content[place : place + len(noise)] = noise
     path = write(tmp_path, bytes(content))
     try:

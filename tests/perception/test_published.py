@@ -252,7 +252,7 @@ def test_they_go_through_fits_json(name: str, published: dict[str, PublishedFits
     torch.testing.assert_close(get_parameters(again.double()), get_parameters(fits.model), rtol=1e-7, atol=1e-30)
 
 
-def made_up() -> dict[str, Any]:
+def synthetic_sets() -> dict[str, Any]:
     """Two sets, one of them not known."""
     fit = {"diffuse": [0.1, 0.2, 0.3], "model": "NganWard", "specular": [0.01, 0.02, 0.03], "roughness": 0.1}
     return {"ngan_ward": {"tin": fit, "zinc": {**fit, "roughness": 1}}, "ngan_he": {"tin": {}}}
@@ -265,7 +265,7 @@ def write(folder: Path, content: Any) -> Path:
 
 
 def test_a_set(tmp_path: Path) -> None:
-    (fits,) = read_published(write(tmp_path, made_up())).values()
+    (fits,) = read_published(write(tmp_path, synthetic_sets())).values()
     assert (fits.name, fits.materials, len(fits)) == ("ngan_ward", ["tin", "zinc"], 2)
     assert "Ngan" in fits.source
     assert isinstance(fits.model, Sum) and isinstance(fits.model.components()[0], Lambert)
@@ -299,7 +299,7 @@ def test_a_set(tmp_path: Path) -> None:
     ],
 )
 def test_bad_fields_are_named(field: str, value: Any, message: str, tmp_path: Path) -> None:
-    content = made_up()
+    content = synthetic_sets()
     if value is ...:
         del content["ngan_ward"]["zinc"][field]
     else:

@@ -149,17 +149,17 @@ def benchmark():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_distances_are_those_of_one_pair_after_another(benchmark, name, dtype, monkeypatch):
     pairs = uniform_pairs(50).to(dtype=dtype)
-    seen = evaluate_brdfs(benchmark, pairs)
-    assert seen.materials.dtype == seen.approximations.dtype == dtype
+    brdfs = evaluate_brdfs(benchmark, pairs)
+    assert brdfs.materials.dtype == brdfs.approximations.dtype == dtype
     loss = LOSSES[name](reduction="none")
-    whole = score_triplets(loss, seen, benchmark.triplets)
-    rows = score_opinions(loss, seen)
-    monkeypatch.setattr("torchbrdf.perception.agreement.scores._SEEN", 1)  # one at a time
+    whole = score_triplets(loss, brdfs, benchmark.triplets)
+    rows = score_opinions(loss, brdfs)
+    monkeypatch.setattr("torchbrdf.perception.agreement.scores._BATCH_BYTES", 1)  # one at a time
     rtol = 1e-5 if dtype == torch.float32 else 1e-12
-    assert torch.allclose(score_triplets(loss, seen, benchmark.triplets), whole, rtol=rtol, atol=0, equal_nan=True)
+    assert torch.allclose(score_triplets(loss, brdfs, benchmark.triplets), whole, rtol=rtol, atol=0, equal_nan=True)
     for reference, *candidates in benchmark.triplets.questions[:5].tolist():
         for candidate in candidates:
-            own = loss(seen.materials[candidate][None], seen.materials[reference][None], pairs)
+            own = loss(brdfs.materials[candidate][None], brdfs.materials[reference][None], pairs)
             assert float(whole[reference, candidate]) == pytest.approx(float(own), rel=rtol)
     opinions = benchmark.opinions
     for row in (0, 7, len(opinions) - 1):
@@ -170,17 +170,17 @@ def test_distances_are_those_of_one_pair_after_another(benchmark, name, dtype, m
 
 
 def test_only_what_is_asked_for_is_worked_out(benchmark):
-    seen = evaluate_brdfs(benchmark, uniform_pairs(20))
-    matrix = score_triplets(LOSSES["rms"](reduction="none"), seen, benchmark.triplets)
+    brdfs = evaluate_brdfs(benchmark, uniform_pairs(20))
+    matrix = score_triplets(LOSSES["rms"](reduction="none"), brdfs, benchmark.triplets)
     asked = torch.zeros_like(matrix, dtype=torch.bool)
     for k in (1, 2):
         asked[benchmark.triplets.questions[:, 0], benchmark.triplets.questions[:, k]] = True
     assert torch.equal(asked, matrix.isfinite())
     with pytest.raises(UsageError, match="expected reduction none"):
-        score_opinions(LOSSES["rms"](), seen)
+        score_opinions(LOSSES["rms"](), brdfs)
     with pytest.raises(UsageError, match="no pairs were given"):
         place = torch.zeros(1, dtype=torch.long)
-        distances(LOSSES["rms"](reduction="none"), seen.materials, seen.materials, None, place, place)
+        distances(LOSSES["rms"](reduction="none"), brdfs.materials, brdfs.materials, None, place, place)
 
 
 def test_methods_without_a_model_are_left_out(benchmark):

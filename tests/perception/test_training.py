@@ -12,7 +12,7 @@ from scipy.stats import norm
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import make_model, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
-from torchbrdf.losses.learned import ROWS
+from torchbrdf.losses.learned import THETA_H_BINS
 from torchbrdf.measured import load, standins
 from torchbrdf.perception import evaluate_brdfs, uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
@@ -77,7 +77,7 @@ def test_comparisons_are_those_of_the_statistics() -> None:
 
 def test_the_mismatch_is_thurstones() -> None:
     generator = torch.Generator().manual_seed(1)
-    weights = torch.rand(TRAINING_SET.terms.shape[1], generator=generator, dtype=torch.float64)
+    weights = torch.rand(TRAINING_SET.features.shape[1], generator=generator, dtype=torch.float64)
     slopes = torch.tensor([0.3, -0.2], dtype=torch.float64)
     distance, expected = TRAINING_SET.distances(weights), 0.0
     for part, own in TRAINING_SET.judgments.items():
@@ -99,8 +99,8 @@ def _log(p: float) -> float:
 
 
 def test_its_gradient_is_finite_where_two_are_equal() -> None:
-    equal = TrainingSet(**{**vars(TRAINING_SET), "terms": TRAINING_SET.terms * 0})
-    weights = torch.ones(TRAINING_SET.terms.shape[1], dtype=torch.float64, requires_grad=True)
+    equal = TrainingSet(**{**vars(TRAINING_SET), "features": TRAINING_SET.features * 0})
+    weights = torch.ones(TRAINING_SET.features.shape[1], dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(
         negative_log_likelihood(equal, equal.judgments, weights, torch.zeros(2, dtype=torch.float64)), weights
     )
@@ -127,11 +127,11 @@ def test_its_gradient_is_finite_where_two_are_equal() -> None:
 
 def test_training_learns_and_keeps_to_its_bounds() -> None:
     history = train(TRAINING_SET, ALL, 12)
-    assert history.curve.shape == (12, 2) and history.weights.shape == (12, TRAINING_SET.terms.shape[1])
+    assert history.curve.shape == (12, 2) and history.weights.shape == (12, TRAINING_SET.features.shape[1])
     assert float(history.curve[-1, 0]) < float(history.curve[0, 0]) - 0.01
     assert float(history.weights.min()) >= 0
-    scaled = history.weights * TRAINING_SET.terms[TRAINING_SET.method < 0].mean(0)
-    assert float((scaled[:, :ROWS].sum(1) / scaled.sum(1)).min()) >= MIN_POINTWISE_SHARE * (1 - 1e-9)
+    scaled = history.weights * TRAINING_SET.features[TRAINING_SET.method < 0].mean(0)
+    assert float((scaled[:, :THETA_H_BINS].sum(1) / scaled.sum(1)).min()) >= MIN_POINTWISE_SHARE * (1 - 1e-9)
     again = train(TRAINING_SET, ALL, 12)
     assert torch.equal(again.weights, history.weights)
 
@@ -196,10 +196,10 @@ def test_training_sets_are_merged() -> None:
     )  # the same answers about materials of other names
     both = merge_training_sets([TRAINING_SET, reverse])
     assert both.names == TRAINING_SET.names and both.methods == TRAINING_SET.methods
-    assert len(both.terms) == 2 * len(TRAINING_SET.terms)
+    assert len(both.features) == 2 * len(TRAINING_SET.features)
     for name, own in TRAINING_SET.judgments.items():
         part, count = both.judgments[name], len(own)
-        assert torch.equal(part.first[count:], own.first + len(TRAINING_SET.terms))
+        assert torch.equal(part.first[count:], own.first + len(TRAINING_SET.features))
         assert torch.equal(part.materials[count:], len(TRAINING_SET.names) - 1 - own.materials)
     for name, own in TRAINING_SET.statistics.items():
         there = both.statistics[name].materials[len(own) :]
@@ -245,7 +245,7 @@ def test_the_recipe_writes_a_metric_that_gives_the_shares_it_says(out: Path) -> 
     assert metric["provenance"]["learned_from"][0]["mark"] == "made-up answers: nobody was asked"
 
 
-def test_made_up_answers_are_foretold(out: Path) -> None:
+def test_synthetic_answers_are_foretold(out: Path) -> None:
     table = json.loads((out / "held_out.json").read_text())
     assert set(table) == {"materials", "methods"}
     for name, own in table["materials"].items():

@@ -139,8 +139,8 @@ def test_every_recipe_runs_in_its_quick_form(name, tmp_path):
 
 
 # Few pairs to fit and to score.
-FEW = {"quick": "true", "models": "ward", "samples": "500", "max_theta": "30", "size": "32"}
-SMALL = FEW | {"lobes": "1"}
+FEW_SETTINGS = {"quick": "true", "models": "ward", "samples": "500", "max_theta": "30", "size": "32"}
+SMALL = FEW_SETTINGS | {"lobes": "1"}
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +210,7 @@ def test_a_recipe_can_say_other_words_and_screen(tmp_path):
         texts: ClassVar = {"consent": "Take part?"}
         screening: ClassVar = {"colour_vision": ("normal",)}
 
-    settings = FEW | {"losses": "rms", "compare_strategy": "none"}
+    settings = FEW_SETTINGS | {"losses": "rms", "compare_strategy": "none"}
     run(configure(Ours, settings), tmp_path / "out")
     plan = Plan.load(tmp_path / "out")
     assert plan.text("consent") == "Take part?" and plan.screening == {"colour_vision": ("normal",)}
@@ -233,7 +233,7 @@ def test_a_bad_file_is_left_out_with_a_word(tmp_path, caplog):
     folder.mkdir()
     (folder / "good.json").write_bytes(standins().read_bytes())
     (folder / "broken.binary").write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00")
-    settings = FEW | {"losses": "rms", "compare_strategy": "none", "materials": str(folder)}
+    settings = FEW_SETTINGS | {"losses": "rms", "compare_strategy": "none", "materials": str(folder)}
     report = run(configure(RECIPES["fores2012"], settings), tmp_path / "out")
     assert "broken.binary" in caplog.text and "left out" in (tmp_path / "out" / "log.txt").read_text()
     assert "broken.binary" in report.read_text()

@@ -72,7 +72,7 @@ def test_gradients_reach_every_parameter(large: Scene, name: str, kind: str) -> 
     torch.manual_seed(0)
     start = {"roughness": 0.2, "exponent": 30.0, "f0": 0.4, "specular": [0.3, 0.2, 0.25], "distribution": 0.5}
     lobe = LOBES[kind]
-    own = {key: start.get(key, bounded.start) for key, bounded in lobe.parameter_specs.items()}
+    own = {key: start.get(key, spec.start) for key, spec in lobe.parameter_specs.items()}
     model = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), lobe(**own, dtype=torch.float64)).to(dtype=torch.float64)  # type: ignore[arg-type]
     loss = RenderedLoss(large, name)
     pairs = large.pairs.to(dtype=torch.float64)

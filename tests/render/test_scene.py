@@ -68,7 +68,7 @@ def test_furnace(lights: int, tolerance: float) -> None:
 def test_the_nodes_hold_a_sharp_lobe(roughness: float) -> None:
     """exp(-tan^2 theta / alpha^2) over the half vectors near the normal, by a fine sum over theta."""
     scene = Scene(sphere(2), Camera(), constant(), size=4)
-    mirror = scene._parts[0]
+    mirror = scene._quadratures[0]
     assert isinstance(mirror, HalfVectorQuadrature)
     _, tan2_h, solid, share = mirror.nodes
     found = (torch.exp(-tan2_h / roughness**2) * solid * share).sum() / 4
@@ -144,13 +144,13 @@ def test_measured_materials_and_plain_functions(small: Scene, monkeypatch: pytes
     monkeypatch.setattr(draw, "_TABLES", 2)
     lobes = [Lambert(albedo=(k + 1) / 8) for k in range(5)]
     measured = Measured(Painted(lobes))
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
     mixed = [lobes[2], measured, lambda pairs: lobes[4](pairs)[0]]
-    pictures = render(mixed, small, progress=lambda done, total: told.append((done, total)))
+    pictures = render(mixed, small, progress=lambda done, total: calls.append((done, total)))
     order = [lobes[2], *lobes, lobes[4]]
     assert torch.equal(pictures, render(order, small))
-    assert told[-1] == (6 * int(small.mask.sum()), 6 * int(small.mask.sum()))
-    assert all(done < more for (done, _), (more, _) in pairwise(told))
+    assert calls[-1] == (6 * int(small.mask.sum()), 6 * int(small.mask.sum()))
+    assert all(done < more for (done, _), (more, _) in pairwise(calls))
 
 
 def test_the_threads_are_given_back(small: Scene) -> None:

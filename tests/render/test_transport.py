@@ -94,7 +94,7 @@ def test_products_are_those_of_the_matrix(lit: Scene) -> None:
     torch.testing.assert_close(transport.columns(shapes), torch.einsum("cpn,kn->kcp", matrix, shapes))
     gradient = torch.rand(2, len(transport.index), 3, generator=generator)
     torch.testing.assert_close(transport.backward(gradient), torch.einsum("cpn,mpc->mnc", matrix, gradient))
-    thin, kept = transport.thinned(torch.tensor([5, 3, 100]))
+    thin, kept = transport.select_rows(torch.tensor([5, 3, 100]))
     torch.testing.assert_close(dense(thin), matrix[:, [5, 3, 100]][..., kept])
     assert not matrix[:, [5, 3, 100]].sum(0)[:, np.setdiff1d(np.arange(transport.count), kept)].any()
     assert torch.equal(thin.index, transport.index[[5, 3, 100]])
@@ -127,7 +127,7 @@ def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeyp
     torch.testing.assert_close(*(torch.autograd.grad((one * weight).sum(), values)[0] for one in (found, expected)))
     torch.testing.assert_close(streamed.transport.columns(values[0].T), lit.transport.columns(values[0].T))
     rows = torch.arange(0, 90, 7)
-    (thin, kept), (other, same) = (one.transport.thinned(rows) for one in (streamed, lit))
+    (thin, kept), (other, same) = (one.transport.select_rows(rows) for one in (streamed, lit))
     assert torch.equal(kept, same)
     torch.testing.assert_close(thin @ values[:, kept], other @ values[:, kept])
 

@@ -57,11 +57,11 @@ class Person(threading.Thread):
         self.unsure, before = True, self.unsure
         status, said = self.client.tell(f"{self.link}/answer", self.answer)
         self.unsure = False
-        where, told = (self.link, self.answer["trial"]), (self.answer["side"], self.answer["response_time"])
+        where, answered = (self.link, self.answer["trial"]), (self.answer["side"], self.answer["response_time"])
         if status == 200:
-            self.acknowledged[where] = told
+            self.acknowledged[where] = answered
         elif status == 409 and before:  # recorded before, and the acknowledgment got lost
-            self.lost[where] = told
+            self.lost[where] = answered
         else:
             self.wrong.append((status, said))
         state = said["state"]
@@ -110,10 +110,10 @@ def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path, kills):
     database.close()
     found = {(f"/o/{token}", position): (side, seconds) for token, position, side, seconds in rows}
     assert len(found) == len(rows) > 10 * kills
-    told = {}
+    answered = {}
     for person in people:
-        told |= person.acknowledged | person.lost
-    assert found == told  # every one that was acknowledged, as it was, and no other
+        answered |= person.acknowledged | person.lost
+    assert found == answered  # every one that was acknowledged, as it was, and no other
     positions = {}
     for token, position, _, _ in rows:
         positions.setdefault(token, []).append(position)

@@ -35,13 +35,13 @@ class Benchmark:
 
     Args:
         folder: Of the run.
-        subjects: What people were asked.
+        data: What people were asked.
         distances: By the name of a loss.
         left_out: Names of losses that failed, with why.
     """
 
     folder: RunFolder
-    subjects: BenchmarkData
+    data: BenchmarkData
     distances: dict[str, Distances] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
 
@@ -54,19 +54,19 @@ class Benchmark:
                 losses[name] = kind(reduction="none")
             except TorchbrdfError as error:
                 self._leave_out(name, error)
-        self._score(losses, lambda: evaluate_brdfs(self.subjects, pairs))
+        self._score(losses, lambda: evaluate_brdfs(self.data, pairs))
 
     def score_pictures(self, differences: Iterable[str], scene: Scene) -> None:
         """Distances of image differences between pictures of a scene."""
         for name in differences:
             loss = RenderedLoss(scene, name, reduction="none")
-            see = partial(evaluate_brdfs, self.subjects, scene.pairs.to(dtype=torch.float32), loss)
-            self._score({loss.registered_name: loss}, see)
+            evaluate = partial(evaluate_brdfs, self.data, scene.pairs.to(dtype=torch.float32), loss)
+            self._score({loss.registered_name: loss}, evaluate)
 
     def add_published(self, path: Path) -> None:
         """Distances that others computed on measured tables, where there is such a file."""
         if path.is_file():
-            found = read_lagunas(path, len(self.subjects.triplets.materials))
+            found = read_lagunas(path, len(self.data.triplets.materials))
             self.distances |= {f"lagunas_{name}": Distances(matrix, None) for name, matrix in found.items()}
 
     def write(self, table: Table) -> None:
@@ -75,22 +75,22 @@ class Benchmark:
         write_json(self.folder.path / "scores.json", records)
         write_csv(self.folder.path / "scores.csv", records)
 
-    def _score(self, losses: Mapping[str, Loss], see: Callable[[], EvaluatedBrdfs]) -> None:
+    def _score(self, losses: Mapping[str, Loss], evaluate: Callable[[], EvaluatedBrdfs]) -> None:
         """Distances of some losses, read where they are stored, else worked out and stored."""
-        rows = len(self.subjects.opinions)
+        rows = len(self.data.opinions)
         stored = {name: self.folder.path / "distances" / f"{name}.npz" for name in losses}
         known = {name: found for name, path in stored.items() if (found := _read(path, rows))}
         if len(known) == len(losses):
             self.distances |= known
             return
-        seen = see()
+        brdfs = evaluate()
         progress = self.folder.progress("losses")
         for done, (name, loss) in enumerate(losses.items(), 1):
             found = known.get(name)
             if found is None:
                 try:
-                    triplets = score_triplets(loss, seen, self.subjects.triplets)
-                    found = Distances(triplets, score_opinions(loss, seen))
+                    triplets = score_triplets(loss, brdfs, self.data.triplets)
+                    found = Distances(triplets, score_opinions(loss, brdfs))
                 except TorchbrdfError as error:
                     self._leave_out(name, error)
                     continue

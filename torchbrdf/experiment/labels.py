@@ -1,5 +1,6 @@
 """Names of models, losses and differences for people, and what has to be said of results."""
 
+from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import LOSSES
 
 STAND_IN = "stand-in materials, not measurements"
@@ -26,6 +27,7 @@ def loss_label(name: str) -> str:
 
 def difference_label(name: str) -> str:
     """An image difference's name for people."""
+    name = DIFFERENCES.canonical(name)
     return DIFFERENCE_LABELS.get(name, name.replace("_", " "))
 
 

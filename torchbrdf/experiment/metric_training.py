@@ -55,12 +55,12 @@ class TrainingData:
     """What a metric is trained on.
 
     Args:
-        lesson: Terms of distances, and what people were asked of them.
+        training_set: Features of distances, and what people were asked of them.
         baselines: The same distances under registered losses, by name.
         facts: Where it comes from, a record a source.
     """
 
-    lesson: TrainingSet
+    training_set: TrainingSet
     baselines: dict[str, Tensor]
     facts: list[dict[str, Any]]
 
@@ -71,29 +71,29 @@ class TrainingData:
 
 
 def published_data(
-    subjects: BenchmarkData, pairs: Pairs, losses: Mapping[str, Loss], leave_out: Collection[str], *, made_up: bool
+    data: BenchmarkData, pairs: Pairs, losses: Mapping[str, Loss], leave_out: Collection[str], *, synthetic: bool
 ) -> TrainingData:
     """Published triplets and opinions, without the opinions of some methods.
 
     Args:
-        subjects: Materials, approximations and answers.
+        data: Materials, approximations and answers.
         pairs: Where BRDFs are compared.
         losses: The baselines.
         leave_out: Methods.
-        made_up: Whether the answers are no people's.
+        synthetic: Whether the answers are no people's.
     """
-    seen = evaluate_brdfs(subjects, pairs)
-    lesson = make_training_set(subjects, seen, leave_out)
+    brdfs = evaluate_brdfs(data, pairs)
+    training_set = make_training_set(data, brdfs, leave_out)
     fact = {
-        "answers": SYNTHETIC if made_up else PUBLISHED,
-        "tables": "stand-ins for measured tables" if subjects.stand_in else "measured",
-        "questions": len(subjects.triplets),
-        "votes": int(subjects.triplets.votes.sum()),
-        "opinions": sum(method in lesson.methods for method in subjects.opinions.methods),
-        "methods": lesson.methods,
-        "mark": SYNTHETIC if made_up else "",
+        "answers": SYNTHETIC if synthetic else PUBLISHED,
+        "tables": "stand-ins for measured tables" if data.stand_in else "measured",
+        "questions": len(data.triplets),
+        "votes": int(data.triplets.votes.sum()),
+        "opinions": sum(method in training_set.methods for method in data.opinions.methods),
+        "methods": training_set.methods,
+        "mark": SYNTHETIC if synthetic else "",
     }
-    return TrainingData(lesson, baseline_distances(lesson, seen, losses), [fact])
+    return TrainingData(training_set, baseline_distances(training_set, brdfs, losses), [fact])
 
 
 def study_data(run: Path, answers: Path, pairs: Pairs, losses: Mapping[str, Loss]) -> TrainingData:
@@ -114,23 +114,23 @@ def study_data(run: Path, answers: Path, pairs: Pairs, losses: Mapping[str, Loss
     materials, stand_in = _materials_of(run, names, pairs, answers)
     target = torch.tensor([names.index(material) for material, _ in stimuli])
     values = _stimulus_values(run, stimuli, materials[target], pairs, answers)
-    seen = EvaluatedBrdfs(materials, values, target, pairs)
-    asked, votes = _votes(given, stimuli)
-    lesson = training_set_from_choices(names, [name for _, name in stimuli], seen, asked, votes)
+    brdfs = EvaluatedBrdfs(materials, values, target, pairs)
+    compared, votes = _votes(given, stimuli)
+    training_set = training_set_from_choices(names, [name for _, name in stimuli], brdfs, compared, votes)
     fact = {
         "answers": f"{len(given)} choices of {len({answer.observer for answer in given})} observers of a study",
         "tables": "stand-ins" if stand_in else "as given",
-        "methods": lesson.methods,
+        "methods": training_set.methods,
         "mark": "simulated observers: not people" if simulated(given) else "",
     }
-    return TrainingData(lesson, baseline_distances(lesson, seen, losses), [fact])
+    return TrainingData(training_set, baseline_distances(training_set, brdfs, losses), [fact])
 
 
 def join_data(parts: Sequence[TrainingData]) -> TrainingData:
     """Training data of several sources as one."""
     names = parts[0].baselines
     return TrainingData(
-        merge_training_sets([part.lesson for part in parts]),
+        merge_training_sets([part.training_set for part in parts]),
         {name: torch.cat([part.baselines[name] for part in parts]) for name in names},
         [fact for part in parts for fact in part.facts],
     )
@@ -172,26 +172,29 @@ def train_metric(
     Raises:
         DataError: Too few materials, or what is kept of a training cannot be read.
     """
-    lesson = data.lesson
-    folder.log(f"{len(lesson.terms)} distances of {lesson.terms.shape[1]} terms, {len(lesson.names)} materials")
-    if len(lesson.names) < 4:
-        raise DataError(f"train_metric: expected answers about 4 materials at least, found {len(lesson.names)}")
-    halves = list(splits(lesson, repeats, seed))
+    training_set = data.training_set
+    count, features = training_set.features.shape
+    folder.log(f"{count} distances of {features} features, {len(training_set.names)} materials")
+    if len(training_set.names) < 4:
+        raise DataError(f"train_metric: expected answers about 4 materials at least, found {len(training_set.names)}")
+    halves = list(splits(training_set, repeats, seed))
     progress, total = folder.progress("trainings"), len(halves) + 1
-    courses = [_trained(folder, lesson, split, iterations, progress, k, total) for k, split in enumerate(halves, 1)]
+    histories = [
+        _trained(folder, training_set, split, iterations, progress, k, total) for k, split in enumerate(halves, 1)
+    ]
     plain = [k for k, split in enumerate(halves) if split.without < 0]
-    best = best_iteration([courses[k] for k in plain])
+    best = best_iteration([histories[k] for k in plain])
     folder.log(f"held-out answers are likeliest after iteration {best + 1}")
-    everything = Split("all", torch.ones(len(lesson.names), dtype=torch.bool))
-    weights = _trained(folder, lesson, everything, iterations, progress, total, total).weights[best]
-    judged = [(split, course.weights[best]) for split, course in zip(halves, courses, strict=True)]
-    materials = held_out(lesson, [judged[k] for k in plain], data.baselines, seed, replicates)
-    strange = [one for one in judged if one[0].without >= 0]
-    methods = held_out(lesson, strange, data.baselines, seed, replicates) if strange else {}
-    distances = lesson.distances(weights)
+    everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool))
+    weights = _trained(folder, training_set, everything, iterations, progress, total, total).weights[best]
+    learned = [(split, history.weights[best]) for split, history in zip(halves, histories, strict=True)]
+    materials = held_out(training_set, [learned[k] for k in plain], data.baselines, seed, replicates)
+    strange = [one for one in learned if one[0].without >= 0]
+    methods = held_out(training_set, strange, data.baselines, seed, replicates) if strange else {}
+    distances = training_set.distances(weights)
     provenance = {
         "learned_from": data.facts,
-        "materials": len(lesson.names),
+        "materials": len(training_set.names),
         "pairs": samples,
         "seed": seed,
         "iterations": best + 1,
@@ -199,14 +202,14 @@ def train_metric(
         "held_out": {name: [round(x, 4) for x in rows["learned"]["share"]] for name, rows in materials.items()},
         "seen": {
             name: round(float(part.agreement_rate(part.concordant(distances[None]))), 4)
-            for name, part in lesson.statistics.items()
+            for name, part in training_set.statistics.items()
         },
     }
     return TrainedMetric(
-        schema() | {"weights": normalized_weights(lesson, weights), "provenance": provenance},
+        schema() | {"weights": normalized_weights(training_set, weights), "provenance": provenance},
         materials,
         {name: own for name, own in methods.items() if name != "majority"},
-        torch.stack([courses[k].curve for k in plain]),
+        torch.stack([histories[k].curve for k in plain]),
         best,
     )
 
@@ -254,26 +257,34 @@ def _votes(given: Sequence[Answer], stimuli: Sequence[tuple[str, str]]) -> tuple
     count: Counter[tuple[int, int]] = Counter(
         (place[answer.material, answer.chosen], place[answer.material, answer.rejected]) for answer in given
     )
-    asked = sorted({(min(key), max(key)) for key in count})
-    return torch.tensor(asked), torch.tensor([[count[a, b], count[b, a]] for a, b in asked])
+    compared = sorted({(min(key), max(key)) for key in count})
+    return torch.tensor(compared), torch.tensor([[count[a, b], count[b, a]] for a, b in compared])
 
 
 def _trained(
-    folder: RunFolder, lesson: TrainingSet, split: Split, iterations: int, progress: Progress, done: int, total: int
+    folder: RunFolder,
+    training_set: TrainingSet,
+    split: Split,
+    iterations: int,
+    progress: Progress,
+    done: int,
+    total: int,
 ) -> History:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
     if path.is_file():
         try:
             with np.load(path) as parts:
-                course = History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
+                history = History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
         except (OSError, ValueError, KeyError, EOFError, BadZipFile):
             raise DataError(f"{path}: expected a finished training; remove it to train again") from None
     else:
-        course = train(lesson, split, iterations)
+        history = train(training_set, split, iterations)
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, curve=course.curve.numpy(), weights=course.weights.numpy())
-        seen, unseen = course.curve[-1].tolist()
-        folder.log(f"{split.name}: mismatch {seen:.4f} of what was learned from, {unseen:.4f} of the rest")
+            np.savez_compressed(file, curve=history.curve.numpy(), weights=history.weights.numpy())
+        learned_from, rest = history.curve[-1].tolist()
+        folder.log(
+            f"{split.name}: negative log-likelihood {learned_from:.4f} of what was learned from, {rest:.4f} of the rest"
+        )
     progress(done, total)
-    return course
+    return history

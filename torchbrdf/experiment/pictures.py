@@ -38,21 +38,22 @@ class Pictures:
     Args:
         grid: The fits.
         scenes: By name; `ONLY`, if there is just one.
-        differences: Registered names of image differences, each taken between a fit and its reference.
+        differences: Names of image differences, former ones too, each taken between a fit and its reference.
         maps: Also write `map-*.png`, the colour difference of each pixel.
     """
 
     def __init__(
         self, grid: FitGrid, scenes: Mapping[str, Scene], differences: Sequence[str], *, maps: bool = False
     ) -> None:
-        self.grid, self.scenes, self.differences, self.maps = grid, scenes, differences, maps
+        self.grid, self.scenes, self.maps = grid, scenes, maps
+        self.differences = list(dict.fromkeys(map(DIFFERENCES.canonical, differences)))
         self.tones: dict[str, ToneMap] = {}
 
     def path(self, name: str, scene: str = ONLY, suffix: str = ".png") -> Path:
         """Where a picture is."""
         return self.grid.folder.path / "renders" / scene / f"{name}{suffix}"
 
-    def seen(self, scene: str) -> list[FitRecord]:
+    def records_in(self, scene: str) -> list[FitRecord]:
         """The records that reports show, with the image differences in one scene as their `differences`."""
         if scene == ONLY:
             return self.grid.shown

@@ -42,8 +42,8 @@ class ScaledExperiment:
     def stimuli(self) -> list[str]:
         """All stimuli, as tables show them."""
         there = {name for names in self.scales.stimuli for name in names}
-        asked = self.plan.experiment(self.name).stimuli if self.plan else sorted(there)
-        return [name for name in asked if name in there]
+        planned = self.plan.experiment(self.name).stimuli if self.plan else sorted(there)
+        return [name for name in planned if name in there]
 
     def label(self, stimulus: str) -> str:
         """A stimulus for people."""

@@ -18,7 +18,7 @@ from torchbrdf.pairs import Pairs
 
 def is_linear_in_albedos(model: Lobe) -> bool:
     """Whether every component is a colour times a scalar function."""
-    return all(part.albedo_spec() is not None for part in model.components())
+    return all(component.albedo_spec() is not None for component in model.components())
 
 
 class Basis:
@@ -30,7 +30,7 @@ class Basis:
 
     def __init__(self, parametrization: Parametrization) -> None:
         model, self.free = parametrization.model, parametrization.free
-        moved = {one.name for one in self.free}
+        free_names = {one.name for one in self.free}
         names = component_names(model)
         lobes = []
         for k in parametrization.components:
@@ -39,10 +39,10 @@ class Basis:
             if color is None:
                 raise UsageError(f"{type(lobe).__name__}: is no colour times a scalar function")
             lobes.append((k, lobe, names[k][color.name], [names[k][spec.name] for spec in lobe.scalars()]))
-        self.lobes = sorted(lobes, key=lambda lobe: lobe[2] not in moved)
-        self.moved = moved
-        self.slopes = [name for _, _, _, scalars in self.lobes for name in scalars if name in moved]
-        self.used = self.slopes + [color for _, _, color, _ in self.lobes if color in moved]
+        self.lobes = sorted(lobes, key=lambda lobe: lobe[2] not in free_names)
+        self.free_names = free_names
+        self.slopes = [name for _, _, _, scalars in self.lobes for name in scalars if name in free_names]
+        self.used = self.slopes + [color for _, _, color, _ in self.lobes if color in free_names]
 
     def albedos(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
         """The colour of each component, `(R, 3, components)`."""
@@ -54,9 +54,9 @@ class Basis:
         slopes: list[Tensor] = []
         for _, lobe, _, names in self.lobes:
             scalars = [values[name].to(dtype) for name in names]
-            if not names or any(name in self.moved for name in names):
+            if not names or any(name in self.free_names for name in names):
                 shape, *tangents = type(lobe).value_and_jacobian(pairs, *scalars)
-                slopes += [slope for slope, name in zip(tangents, names, strict=True) if name in self.moved]
+                slopes += [slope for slope, name in zip(tangents, names, strict=True) if name in self.free_names]
             else:
                 shape = type(lobe).unit_response(pairs, *scalars)
             shapes.append(shape)

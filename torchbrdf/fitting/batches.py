@@ -12,6 +12,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.fitting.fit import fit
 from torchbrdf.fitting.result import write_fits_csv
 from torchbrdf.fitting.strategy import strategy_name
+from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, Lobe, model_name, read_fits, write_fits
 from torchbrdf.losses import LOSSES, Loss, as_loss
 from torchbrdf.measured import Measured
@@ -93,7 +94,9 @@ class Batches:
         wanted["scene"] = self.loss.scene_summary
         if record.samples is None:  # every pair: as asked for, or because there were no more
             wanted["samples"] = None
-        record = replace(record, loss=LOSSES.canonical(record.loss))
+        former = record.loss.removeprefix("rendered_")
+        own = LOSSES.canonical(former) if former == record.loss else f"rendered_{DIFFERENCES.canonical(former)}"
+        record = replace(record, loss=own)
         if "strategy" in wanted:
             wanted["strategy"] = strategy_name(wanted["strategy"])
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):

@@ -23,7 +23,7 @@ from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.solvers import Status
 
-DIFFUSE = ("45:0", "fit")
+DIFFUSE_MODES = ("45:0", "fit")
 
 
 class SlowFitWarning(UserWarning):
@@ -86,8 +86,8 @@ def fit(
         >>> fit(make_model("ward", lobes=1), nickel, CosineRMSLoss(), samples=None).names
         ['nickel']
     """
-    if diffuse not in DIFFUSE:
-        raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE)}, found {diffuse!r}")
+    if diffuse not in DIFFUSE_MODES:
+        raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {diffuse!r}")
     if samples is not None and samples < 1:
         raise UsageError(f"samples: expected at least 1, found {samples}")
     if not len(measured):
@@ -110,8 +110,8 @@ def fit(
     specs = named_specs(model)
     start = {name: value.clamp(specs[name].lower, specs[name].upper) for name, value in get_parameters(model).items()}
     held = [] if diffuse == "fit" else diffuse_components(model)
-    moved = [part for k, part in enumerate(model.components()) if k not in held]
-    free = sum(spec.size for part in moved for spec in part.parameter_specs.values())
+    free_components = [part for k, part in enumerate(model.components()) if k not in held]
+    free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
     def fit_some(rows: list[int]) -> _Fitted:
         values = take_materials(start, rows)
@@ -125,9 +125,9 @@ def fit(
             task = Task(part, make_objective(part, some, loss), full, max_iterations)
         outcome = run(task, values, diffuse == "fit")
         fitted = with_parameters(part, outcome.values)
-        seen = errors([fitted], task.objective.problem, [loss])[0, 0]
-        error = seen if subset is None else errors([fitted], whole, [loss])[0, 0]
-        return _Fitted(get_parameters(fitted), outcome, error, seen, _counts(whole))
+        subset_error = errors([fitted], task.objective.problem, [loss])[0, 0]
+        error = subset_error if subset is None else errors([fitted], whole, [loss])[0, 0]
+        return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
 
     done: list[_Fitted] = []
     for found in parallel_map(fit_some, measured):
@@ -142,7 +142,7 @@ def fit(
         strategy=strategy_name(strategy),
         diffuse=diffuse,
         error=torch.cat([found.error for found in done]),
-        subset_error=torch.cat([found.seen for found in done]),
+        subset_error=torch.cat([found.subset_error for found in done]),
         status=status,
         reason=[reasons.get(k, "") for k in range(len(status))],
         starts=done[0].outcome.starts,
@@ -167,7 +167,7 @@ class _Fitted(NamedTuple):
     values: ParameterDict
     outcome: Outcome
     error: Tensor
-    seen: Tensor
+    subset_error: Tensor
     counts: Tensor
 
 

@@ -53,26 +53,28 @@ class GlobalSearch:
         objective = task.objective
         if not isinstance(objective, GaussNewtonObjective):
             return _by_gradient(task, values, fit_diffuse)
-        free, everyone = task.all_free(fit_diffuse), objective.material_indices
+        free = task.all_free(fit_diffuse)
         outcome = Outcome(values, starts=self.starts + 1)
         coarse, smooth = objective.coarse(self.coarse_samples), objective.surrogate()
         widths = coarse.loss.smoothing_widths
 
-        def quickly(start: ParameterDict, moved: Parametrization) -> tuple[ParameterDict, Solution]:
-            return levenberg_marquardt_fit(coarse, start, moved, max_iterations=20, ftol=1e-4, widths=widths[:1])
+        def quickly(start: ParameterDict, parametrization: Parametrization) -> tuple[ParameterDict, Solution]:
+            return levenberg_marquardt_fit(
+                coarse, start, parametrization, max_iterations=20, ftol=1e-4, widths=widths[:1]
+            )
 
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
         found = starts_from_dictionary(
             task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
         )
         tried = {name: torch.cat([found[name], staged[name]]) for name in staged}
-        candidates = _Candidates(everyone.repeat(self.starts + 1), tried, free, self.same)
-        errors = candidates.descend(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
+        candidates = _Candidates(objective.material_indices.repeat(self.starts + 1), tried, free, self.same)
+        errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
         outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *candidates.best(errors))
         candidates.prune(errors, self.kept, 1.0)
         last = smooth.ftol if task.full is None else 1e-6
         widths = smooth.loss.smoothing_widths
-        errors = candidates.descend(smooth, max_iterations=task.max_iterations, ftol=last, widths=widths[-2:])
+        errors = candidates.refine(smooth, max_iterations=task.max_iterations, ftol=last, widths=widths[-2:])
         outcome.add(f"best {self.kept}, {smooth.describe_size()}", *candidates.best(errors))
         outcome.near_optimal = candidates.others_within(errors, self.near_optimal)
         if smooth is not objective:
@@ -91,10 +93,10 @@ class GlobalSearch:
         if count // self.share >= 2 * len(task.objective.problem.pairs):
             candidates.prune(errors, self.kept, near)
             between, near = full.subsample(count // self.share, 1), near / 5
-            errors = candidates.descend(between, max_iterations=50, ftol=1e-7, widths=last)
+            errors = candidates.refine(between, max_iterations=50, ftol=1e-7, widths=last)
             outcome.add(between.describe_size(), *candidates.best(errors))
         candidates.prune(errors, self.kept, near)
-        errors = candidates.descend(full, max_iterations=50, ftol=1e-6, widths=last)
+        errors = candidates.refine(full, max_iterations=50, ftol=1e-6, widths=last)
         outcome.add(f"all {full.describe_size()}", *candidates.best(errors))
 
 
@@ -124,7 +126,7 @@ class _Candidates:
     free: Parametrization
     same: float
 
-    def descend(
+    def refine(
         self, objective: GaussNewtonObjective, *, max_iterations: int, ftol: float, widths: tuple[float | None, ...]
     ) -> Solution:
         """From where each is, by Levenberg-Marquardt."""

@@ -45,7 +45,7 @@ def starts_from_dictionary(
             for k in range(len(objective))
         ]
         return {key: torch.stack([found[key] for found in own], 1).flatten(0, 1) for key in values}
-    diffuse, parts, names = diffuse_components(model), model.components(), component_names(model)
+    diffuse, components, names = diffuse_components(model), model.components(), component_names(model)
     fit_diffuse = fit_diffuse and bool(diffuse)
     flat = torch.full((1, len(pairs)), 1 / math.pi, dtype=torch.float64, device=pairs.device)
     atoms = [flat] * fit_diffuse
@@ -55,14 +55,14 @@ def starts_from_dictionary(
             target = target - values[names[k]["albedo"]].double()[..., None] * objective.observe(flat)[:, 0]
     dictionaries: list[LobeDictionary] = []
     for k in specular_components(model):
-        same = [one for one in dictionaries if type(one.lobe) is type(parts[k])]
-        dictionaries.append(same[0] if same else LobeDictionary(parts[k], pairs, sum(map(len, atoms)), shapes))
+        same = [one for one in dictionaries if type(one.lobe) is type(components[k])]
+        dictionaries.append(same[0] if same else LobeDictionary(components[k], pairs, sum(map(len, atoms)), shapes))
         atoms += [] if same else [dictionaries[-1].atoms]
     columns = objective.observe(torch.cat(atoms))
     weight = _weight(objective)
     gram = (weight[..., None, :] * columns) @ columns.mT
     right = -((weight * target)[..., None, :] @ columns.mT)[..., 0, :]
-    base = [_limits(parts[diffuse[0]], 1)] if fit_diffuse else []
+    base = [_limits(components[diffuse[0]], 1)] if fit_diffuse else []
     unique = {id(one): one for one in dictionaries}.values()
     limits = torch.cat([*base, *(one.limits for one in unique)], 1).to(gram)
     picked, factor = _search(gram, right, limits, dictionaries, int(fit_diffuse), beam)
@@ -80,19 +80,19 @@ class LobeDictionary:
 
     def __init__(self, lobe: Lobe, pairs: Pairs, first: int, shapes: int) -> None:
         self.lobe, self.first = lobe, first
-        self.shapes = [bounded for bounded in lobe.scalars() if not bounded.affine]
-        self.affine = [bounded for bounded in lobe.scalars() if bounded.affine]
+        self.shapes = [spec for spec in lobe.scalars() if not spec.affine]
+        self.affine = [spec for spec in lobe.scalars() if spec.affine]
         size = max(2, round(shapes ** (1 / max(len(self.shapes), 1))))
         place = (torch.arange(size, dtype=torch.float64, device=pairs.device) + 0.5) / size
         self.grid = torch.cartesian_prod(*[place] * len(self.shapes)) if self.shapes else place.new_zeros(1, 0)
         self.grid = self.grid.reshape(-1, len(self.shapes))
         self.reach = 1.5 / size
-        self.ends = list(itertools.product(*[(bounded.lower, bounded.upper) for bounded in self.affine]))
+        self.ends = list(itertools.product(*[(spec.lower, spec.upper) for spec in self.affine]))
         columns = []
         for end in self.ends:
             named = {one.name: from_unit(one, self.grid[:, i]) for i, one in enumerate(self.shapes)}
             named |= {one.name: place.new_full((len(self.grid),), v) for one, v in zip(self.affine, end, strict=True)}
-            scalars = [named[bounded.name][:, None].to(pairs.dtype) for bounded in lobe.scalars()]
+            scalars = [named[spec.name][:, None].to(pairs.dtype) for spec in lobe.scalars()]
             columns.append(type(lobe).value_and_jacobian(pairs, *scalars)[0].expand(len(self.grid), -1).double())
         self.atoms = torch.stack(columns, 1).flatten(0, 1)
         self.limits = _limits(lobe, len(self.ends)).repeat(1, len(self.grid))
@@ -114,11 +114,11 @@ def _limits(lobe: Lobe, ends: int) -> Tensor:
     return torch.tensor([[lower], [color.upper]], dtype=torch.float64).expand(2, ends)
 
 
-def from_unit(bounded: BoundedParameter, place: Tensor) -> Tensor:
+def from_unit(spec: BoundedParameter, place: Tensor) -> Tensor:
     """A value within the bounds from 0 to 1 on the scale that solvers use."""
-    if bounded.log:
-        return bounded.lower * (place * math.log(bounded.upper / bounded.lower)).exp()
-    return bounded.lower + place * (bounded.upper - bounded.lower)
+    if spec.log:
+        return spec.lower * (place * math.log(spec.upper / spec.lower)).exp()
+    return spec.lower + place * (spec.upper - spec.lower)
 
 
 def _weight(objective: GaussNewtonObjective) -> Tensor:
@@ -149,8 +149,8 @@ def _search(
         factor, error = _factors(gram, right, limits, torch.cat(used, -1))
         if depth and dictionaries[depth - 1] is kind:  # equal lobes in no order: each combination once
             error = torch.where(picked[..., depth - 1] <= picked[..., depth], error, math.inf)
-        keep = int(error.isfinite().sum(1).min())
-        best = error.argsort(1)[:, : min(keep, beam) if 0 < depth < len(dictionaries) - 1 else max(keep, 1)]
+        finite = int(error.isfinite().sum(1).min())
+        best = error.argsort(1)[:, : min(finite, beam) if 0 < depth < len(dictionaries) - 1 else max(finite, 1)]
         picked, factor = _take(picked, best), _take(factor.transpose(1, 2), best)
     return picked, factor
 
@@ -221,10 +221,10 @@ def _starts(
         own, factor = factor.split([len(one.ends), factor.shape[-1] - len(one.ends)], -1)
         put(k, color.name, own.sum(-1).clamp(color.lower, color.upper))
         share = own.sum(-2) / own.sum((-2, -1)).clamp_min(1e-300)[..., None]
-        for j, bounded in enumerate(one.affine):
-            high = share.new_tensor([float(end[j] == bounded.upper) for end in one.ends])
+        for j, spec in enumerate(one.affine):
+            high = share.new_tensor([float(end[j] == spec.upper) for end in one.ends])
             place = (share * high).sum(-1, keepdim=True)
-            put(k, bounded.name, bounded.lower + place * (bounded.upper - bounded.lower))
-        for j, bounded in enumerate(one.shapes):
-            put(k, bounded.name, from_unit(bounded, one.grid[:, j])[picked[..., i]][..., None])
+            put(k, spec.name, spec.lower + place * (spec.upper - spec.lower))
+        for j, spec in enumerate(one.shapes):
+            put(k, spec.name, from_unit(spec, one.grid[:, j])[picked[..., i]][..., None])
     return found

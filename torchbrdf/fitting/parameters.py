@@ -15,12 +15,12 @@ from torchbrdf.pairs import Pairs
 
 def diffuse_components(model: Lobe) -> list[int]:
     """Which components are diffuse."""
-    return [k for k, part in enumerate(model.components()) if isinstance(part, Lambert)]
+    return [k for k, lobe in enumerate(model.components()) if isinstance(lobe, Lambert)]
 
 
 def specular_components(model: Lobe) -> list[int]:
     """Which are not."""
-    return [k for k, part in enumerate(model.components()) if not isinstance(part, Lambert)]
+    return [k for k, lobe in enumerate(model.components()) if not isinstance(lobe, Lambert)]
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class FreeParameter:
 
 def free_parameters(model: Lobe, components: Sequence[int], *, scalar_albedo: bool = False) -> list[FreeParameter]:
     """All parameters of some components; scalar_albedo: with one number in the place of each colour's three."""
-    names, parts = component_names(model), model.components()
+    names, lobes = component_names(model), model.components()
     return [
         FreeParameter(full, k, spec, 1 if scalar_albedo and spec.linear and spec.shape == (3,) else spec.size)
         for k in components
-        for (_, full), spec in zip(names[k].items(), parts[k].parameter_specs.values(), strict=True)
+        for (_, full), spec in zip(names[k].items(), lobes[k].parameter_specs.values(), strict=True)
     ]
 
 
@@ -102,8 +102,8 @@ class Parametrization:
 
     @cached_property
     def _present(self) -> Sum:
-        parts = self.model.components()
-        return Sum(*(parts[k] for k in self.components))
+        lobes = self.model.components()
+        return Sum(*(lobes[k] for k in self.components))
 
     @cached_property
     def _own_names(self) -> dict[str, str]:

@@ -117,18 +117,18 @@ class LowABC(Lobe):
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dB = -shape C (1 - cos_h) / (1 + B (1 - cos_h)), d/dC = -shape log(1 + B (1 - cos_h)), and d/d(ior)."""
         sharpness, exponent, ior = scalars
-        drop, cos_d = one_minus_cos_h(pairs), pairs.cos_d
+        one_minus_cos, cos_d = one_minus_cos_h(pairs), pairs.cos_d
         facets = _facets(pairs, sharpness, exponent)
         g, a, b = _fresnel_terms(ior, cos_d)
         shape = facets * (0.5 * a.square() * (1 + b.square()))
-        spread = sharpness * drop
+        scaled = sharpness * one_minus_cos
         # Derivatives by g; that of g by the index is ior / g.
         slope_a = 2 * cos_d / (g + cos_d).square()
         slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
         slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
         return [
             shape,
-            shape * (-exponent * drop / (1 + spread)),
-            -shape * torch.log1p(spread),
+            shape * (-exponent * one_minus_cos / (1 + scaled)),
+            -shape * torch.log1p(scaled),
             facets * (slope * (ior / g)),
         ]

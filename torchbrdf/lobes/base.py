@@ -303,9 +303,9 @@ class Lobe(_Declared):
             [torch.Size([2, 5]), torch.Size([2, 5])]
         """
         found: list[Tensor] = []
-        for k, moved in enumerate(scalars):
+        for k, scalar in enumerate(scalars):
             with _FORWARD, forward_ad.dual_level():
-                dual = forward_ad.make_dual(moved, torch.ones_like(moved))
+                dual = forward_ad.make_dual(scalar, torch.ones_like(scalar))
                 own = [dual if i == k else other for i, other in enumerate(scalars)]
                 value, tangent = forward_ad.unpack_dual(cls.unit_response(pairs, *own))
             found = found or [value]
@@ -334,13 +334,13 @@ class Lobe(_Declared):
             Ward(specular=<4 x 3>, roughness=<4 x 1>)
         """
         made = copy.deepcopy(self)
-        for part in made.components():
-            for name, spec in part.parameter_specs.items():
-                value = getattr(part, name).detach()
+        for component in made.components():
+            for name, spec in component.parameter_specs.items():
+                value = getattr(component, name).detach()
                 if value.dim() > len(spec.shape) and value.shape[0] not in (1, materials):
-                    raise ShapeError(f"{type(part).__name__}.{name}: {value.shape[0]} materials, not {materials}")
+                    raise ShapeError(f"{type(component).__name__}.{name}: {value.shape[0]} materials, not {materials}")
                 value = value.expand(materials, *spec.shape).clone()
-                setattr(part, name, nn.Parameter(value))
+                setattr(component, name, nn.Parameter(value))
         return made
 
 

@@ -11,7 +11,7 @@ from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.sum import Sum
 
-DIFFUSE = "diffuse"
+DIFFUSE_KEY = "diffuse"
 
 
 def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> Sum:
@@ -59,9 +59,9 @@ def model_name(model: Lobe) -> tuple[str, int]:
         ('ward', 2)
     """
     first, *rest = model.components()
-    kinds = {type(part) for part in rest}
+    kinds = {type(component) for component in rest}
     if not isinstance(first, Lambert) or len(kinds) != 1:
-        shown = " + ".join(type(part).__name__ for part in model.components())
+        shown = " + ".join(type(component).__name__ for component in model.components())
         raise UsageError(f"model: expected Lambert plus lobes of one kind, found {shown}")
     kind = kinds.pop()
     name = next((name for name, lobe in LOBES.items() if lobe is kind), None)
@@ -86,9 +86,9 @@ def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
         {'diffuse': [0.25, 0.25, 0.25], 'specular': [[0.5, 0.5, 0.5]], 'roughness': [0.125]}
     """
     first, *rest = model.components()
-    found: dict[str, Any] = {DIFFUSE: _plain(first, first.parameter_specs["albedo"], material)}
+    found: dict[str, Any] = {DIFFUSE_KEY: _plain(first, first.parameter_specs["albedo"], material)}
     for name, spec in type(rest[0]).parameter_specs.items():
-        found[name] = [_plain(part, spec, material) for part in rest]
+        found[name] = [_plain(component, spec, material) for component in rest]
     return found
 
 
@@ -113,7 +113,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         Ward(specular=[0.5, 0.5, 0.5], roughness=0.125)
     """
     kind = LOBES[name]
-    wanted = {DIFFUSE, *kind.parameter_specs}
+    wanted = {DIFFUSE_KEY, *kind.parameter_specs}
     if set(values) != wanted:
         raise DataError(
             f"parameters of {name}: expected {', '.join(sorted(wanted))}, found {', '.join(sorted(values))}"
@@ -122,7 +122,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         lists = {
             key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.parameter_specs
         }
-        diffuse = torch.tensor(values[DIFFUSE], dtype=torch.float64)
+        diffuse = torch.tensor(values[DIFFUSE_KEY], dtype=torch.float64)
     except (TypeError, ValueError) as error:
         raise DataError(f"parameters of {name}: expected numbers, found something else ({error})") from None
     counts = {len(entries) for entries in lists.values()}
@@ -135,8 +135,8 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     return Sum(Lambert(albedo=diffuse, dtype=dtype), *lobes)
 
 
-def _plain(part: Lobe, spec: BoundedParameter, material: int) -> Any:
-    value: Tensor = getattr(part, spec.name).detach()
+def _plain(component: Lobe, spec: BoundedParameter, material: int) -> Any:
+    value: Tensor = getattr(component, spec.name).detach()
     if value.dim() > len(spec.shape):
         value = value[material]
     return value.item() if spec.size == 1 else value.tolist()

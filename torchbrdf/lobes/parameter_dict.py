@@ -18,9 +18,9 @@ def component_names(model: Lobe) -> list[dict[str, str]]:
     """Of each component of a model the full names of its parameters, by their own."""
     prefixes = {id(module): name for name, module in model.named_modules()}
     found = []
-    for part in model.components():
-        prefix = prefixes[id(part)]
-        found.append({name: f"{prefix}.{name}" if prefix else name for name in part.parameter_specs})
+    for component in model.components():
+        prefix = prefixes[id(component)]
+        found.append({name: f"{prefix}.{name}" if prefix else name for name in component.parameter_specs})
     return found
 
 
@@ -28,8 +28,8 @@ def named_specs(model: Lobe) -> dict[str, BoundedParameter]:
     """What a model declares of each parameter, by full name, component after component."""
     names = component_names(model)
     return {
-        full: part.parameter_specs[name]
-        for part, own in zip(model.components(), names, strict=True)
+        full: component.parameter_specs[name]
+        for component, own in zip(model.components(), names, strict=True)
         for name, full in own.items()
     }
 

@@ -69,9 +69,9 @@ def shifted_gamma(
     alpha, p, steepness = alpha[..., None, :], p[..., None, :], steepness[..., None, :]
     f0, f1 = f0[..., None, :], f1[..., None, :]
     shadow, reach, onset = shadow[..., None, :], reach[..., None, :], onset[..., None, :]
-    spread = alpha + tangent(pairs)[..., None] / alpha
+    shifted = alpha + tangent(pairs)[..., None] / alpha
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
-    facets = clamped_exp(2 * log_secant(pairs)[..., None] - spread - p * spread.log())
+    facets = clamped_exp(2 * log_secant(pairs)[..., None] - shifted - p * shifted.log())
     fresnel = (f0 + (1 - f0) * schlick_weight(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
     lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
     for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):

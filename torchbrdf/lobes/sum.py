@@ -27,7 +27,7 @@ class Sum(Lobe):
         super().__init__()
         if not lobes:
             raise UsageError("Sum: expected at least one lobe, found none")
-        self.lobes = nn.ModuleList(part for lobe in lobes for part in lobe.components())
+        self.lobes = nn.ModuleList(component for lobe in lobes for component in lobe.components())
 
     def components(self) -> list[Lobe]:
         """The lobes that are added, without nesting."""

@@ -90,8 +90,8 @@ class BinnedLoss(Loss):
         prediction, target, pairs = self._widened(prediction, target, pairs)
         if pairs is None:
             raise ShapeError(f"{type(self).__name__}: needs pairs, to sort them into bins")
-        aim = self._cached_target(target, pairs, lambda: self.encode(target, pairs))
-        difference = self.encode(prediction, pairs) - aim
+        encoded_target = self._cached_target(target, pairs, lambda: self.encode(target, pairs))
+        difference = self.encode(prediction, pairs) - encoded_target
         difference, weight = self.collapse_channel_weights(difference, weight)
         own = self.assignment(pairs, weight, difference)
         weighed = difference if weight is None else difference * weight

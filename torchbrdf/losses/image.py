@@ -75,5 +75,5 @@ class ImageLoss(Loss):
         if weight is not None:
             raise ShapeError(f"{type(self).__name__}: expected no weights, found {(*weight.shape,)}")
         prediction, target, _ = self._widened(prediction, target, None)
-        aim = self._cached_target(target, None, lambda: self.observe(target))
-        return self.finalize(self.compare(self.observe(prediction), aim))
+        observed_target = self._cached_target(target, None, lambda: self.observe(target))
+        return self.finalize(self.compare(self.observe(prediction), observed_target))

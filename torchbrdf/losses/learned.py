@@ -22,11 +22,11 @@ THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
 THETA_D = (15.0, 45.0, 75.0)
 """Centres of the soft bins, in degrees."""
 
-ROWS, COLUMNS = len(THETA_H), len(THETA_D)
-BINS = ROWS * COLUMNS
-BIN_PAIRS = tuple(combinations(range(ROWS), 2))
-COLOR_TERMS = ("luminance", "chroma")
-SHAPES = {"mean": (ROWS, COLUMNS), "contrast": (len(BIN_PAIRS), COLUMNS)}
+THETA_H_BINS, THETA_D_BINS = len(THETA_H), len(THETA_D)
+BIN_COUNT = THETA_H_BINS * THETA_D_BINS
+BIN_PAIRS = tuple(combinations(range(THETA_H_BINS), 2))
+COLOR_FEATURES = ("luminance", "chroma")
+SHAPES = {"mean": (THETA_H_BINS, THETA_D_BINS), "contrast": (len(BIN_PAIRS), THETA_D_BINS)}
 POINTWISE = "pointwise"
 BUNDLED = "learned_metric.json"
 
@@ -125,7 +125,7 @@ class LearnedLoss(BinnedLoss):
             return difference, weight
         largest = weight.amax(-1, keepdim=True)
         share = torch.where(largest > 0, weight / torch.where(largest > 0, largest, 1), 1)
-        lightness = luminance(difference) * share
+        lightness = luminance_weights(difference) * share
         y = (lightness * difference).sum(-1, keepdim=True) / lightness.sum(-1, keepdim=True)
         return y + share * (difference - y), largest
 
@@ -147,7 +147,7 @@ def encode(values: Tensor, pairs: Pairs | None) -> Tensor:
 
 
 def soft_bins(pairs: Pairs) -> Tensor:
-    """How much of each pair lies in each bin, `(..., N, BINS)`, theta_h slowest; the shares of a pair add up to 1."""
+    """How much of each pair lies in each bin, `(..., N, BIN_COUNT)`, theta_h slowest; its shares add up to 1."""
     high, wide = (_hats(angle, centres) for angle, centres in ((pairs.theta_h, THETA_H), (pairs.theta_d, THETA_D)))
     return (high[..., :, None] * wide[..., None, :]).flatten(-2)
 
@@ -160,7 +160,7 @@ def _hats(angle: Tensor, centres: tuple[float, ...]) -> Tensor:
     return torch.stack([a - b for a, b in zip([one, *rises], [*rises, none], strict=True)], -1)
 
 
-def luminance(values: Tensor) -> Tensor:
+def luminance_weights(values: Tensor) -> Tensor:
     """The share of each channel of values in luminance, `(C,)`."""
     channels = values.shape[-1]
     return values.new_tensor(LUMINANCE if channels == 3 else [1 / channels] * channels)
@@ -169,12 +169,12 @@ def luminance(values: Tensor) -> Tensor:
 def contrasts(means: Tensor) -> Tensor:
     """Averages in bins as luminance and chroma, with their differences between two bins of theta_h.
 
-    From `(..., C, BINS)` to `(..., 1 + C, BINS + differences)`: luminance first, then the chroma of each channel.
+    From `(..., C, BIN_COUNT)` to `(..., 1 + C, BIN_COUNT + differences)`: luminance first, then each channel's chroma.
     """
-    lightness = (luminance(means.mT) @ means)[..., None, :]
+    lightness = (luminance_weights(means.mT) @ means)[..., None, :]
     means = torch.cat([lightness, means - lightness], -2)
     one, other = torch.tensor(BIN_PAIRS, device=means.device).unbind(1)
-    rows = means.unflatten(-1, (ROWS, COLUMNS))
+    rows = means.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
     return torch.cat([means, (rows[..., one, :] - rows[..., other, :]).flatten(-2)], -1)
 
 
@@ -183,7 +183,9 @@ def factor(weight: Tensor, channels: int) -> Tensor:
 
     weight: `(2, K)`, of luminance and chroma.
     """
-    unit = torch.eye(channels * BINS, dtype=weight.dtype, device=weight.device).unflatten(-1, (channels, BINS))
+    unit = torch.eye(channels * BIN_COUNT, dtype=weight.dtype, device=weight.device).unflatten(
+        -1, (channels, BIN_COUNT)
+    )
     root = torch.cat([weight[:1], weight[1:].expand(channels, -1)]).sqrt()
     return (contrasts(unit) * root).flatten(-2)
 
@@ -196,22 +198,22 @@ def features(difference: Tensor, bins: Tensor) -> Tensor:
     mass = bin_mass(bins)
     squares = difference.square().mean(-1)[..., None, :] @ bins / mass
     parts = contrasts((difference.mT @ bins).double() / mass).square()
-    pointwise = squares[..., 0, :].unflatten(-1, (ROWS, COLUMNS)).sum(-1)
+    pointwise = squares[..., 0, :].unflatten(-1, (THETA_H_BINS, THETA_D_BINS)).sum(-1)
     return torch.cat([pointwise, parts[..., 0, :], parts[..., 1:, :].sum(-2)], -1)
 
 
 def unpack_weights(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
-    """Weights by name as those of mean squares `(BINS,)` and of averages `(2, K)`, float64."""
-    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64).repeat_interleave(COLUMNS)
-    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in COLOR_TERMS]
+    """Weights by name as those of mean squares `(BIN_COUNT,)` and of averages `(2, K)`, float64."""
+    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64).repeat_interleave(THETA_D_BINS)
+    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in COLOR_FEATURES]
     return pointwise, torch.stack([torch.cat([part.flatten() for part in row]) for row in rows])
 
 
 def pack_weights(weights: Tensor) -> dict[str, Any]:
     """Weights `(T,)` in the order of `features`, by name, to four digits."""
     rounded = torch.tensor([float(f"{value:.4g}") for value in weights.tolist()], dtype=torch.float64)
-    found: dict[str, Any] = {POINTWISE: rounded[:ROWS].tolist()} | {name: {} for name in SHAPES}
-    for kind, row in zip(COLOR_TERMS, rounded[ROWS:].chunk(2), strict=True):
+    found: dict[str, Any] = {POINTWISE: rounded[:THETA_H_BINS].tolist()} | {name: {} for name in SHAPES}
+    for kind, row in zip(COLOR_FEATURES, rounded[THETA_H_BINS:].chunk(2), strict=True):
         start = 0
         for name, (rows, columns) in SHAPES.items():
             found[name][kind] = row[start : start + rows * columns].reshape(rows, columns).tolist()
@@ -234,9 +236,9 @@ def read_weights(weights: str | Path | Mapping[str, Any] | None) -> Mapping[str,
     for key, expected in schema().items():
         if data.get(key, expected) != expected:
             raise DataError(f"{where}: {key}: expected {expected}, found {data[key]!r}")
-    _check_part(data["weights"], (POINTWISE,), (ROWS,), where)
+    _check_part(data["weights"], (POINTWISE,), (THETA_H_BINS,), where)
     for name, shape in SHAPES.items():
-        for kind in COLOR_TERMS:
+        for kind in COLOR_FEATURES:
             _check_part(data["weights"], (name, kind), shape, where)
     if not any(weight.any() for weight in unpack_weights(data["weights"])):
         raise DataError(f"{where}: expected a weight above 0, found none")

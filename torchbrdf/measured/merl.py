@@ -138,7 +138,7 @@ class Merl(BrdfFormat):
         """
         values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
         filled = torch.zeros(len(materials), dtype=torch.int64, device=pairs.device)
-        few = len(pairs) <= LARGEST_DIRECT_LOOKUP
+        direct = len(pairs) <= LARGEST_DIRECT_LOOKUP
         for part, chunk in chunks(pairs):
             for row, material in enumerate(materials):
                 if row < pairs.shape[0]:
@@ -150,7 +150,7 @@ class Merl(BrdfFormat):
                         index, weight = centre[:, None], torch.ones_like(position[0])[:, None]
                     else:
                         index, weight = neighbours(position, BINS)
-                found, missing = normalized(self._weighted(material, index, weight, few))
+                found, missing = normalized(self._weighted(material, index, weight, direct))
                 missing &= above
                 if missing.any():
                     place = self._nearest_valid(material)[centre[missing].cpu().numpy()]
@@ -159,8 +159,8 @@ class Merl(BrdfFormat):
                 values[row, part] = torch.where(above[:, None], found, 0)
         return Lookup(values, filled)
 
-    def _weighted(self, material: int, index: Tensor, weight: Tensor, few: bool) -> Tensor:
-        if not few:
+    def _weighted(self, material: int, index: Tensor, weight: Tensor, direct: bool) -> Tensor:
+        if not direct:
             return weighted_rows(self._table(material, weight.dtype, weight.device), index, weight)
         rows = torch.from_numpy(self._rows(material, index.flatten().cpu().numpy())).to(weight)
         return (rows.view(*index.shape, 4) * weight[..., None]).sum(1)

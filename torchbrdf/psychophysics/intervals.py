@@ -72,11 +72,13 @@ def covariances(comparisons: Comparisons, scale: Tensor, method: Method, prior: 
             torch.linalg.inv(laplacian((compared > 0).to(share)) + null_space_projector(compared)), compared
         )
         by_model = gives @ laplacian(compared * per_answer.square() * share * (1 - share)) @ gives
-        asked = comparisons.wins + comparisons.wins.mT
-        pulls = ((comparisons.wins - share * asked) * per_answer).sum(-1)
-    moved = torch.einsum("mij,omj->omi", gives.nan_to_num(), pulls)
+        compared = comparisons.wins + comparisons.wins.mT
+        pulls = ((comparisons.wins - share * compared) * per_answer).sum(-1)
+    displacement = torch.einsum("mij,omj->omi", gives.nan_to_num(), pulls)
     count = (comparisons.wins.sum((-2, -1)) > 0).sum(0).to(scale)
-    by_observers = torch.einsum("omi,omj->mij", moved, moved) * (count / (count - 1).clamp(min=1))[:, None, None]
+    by_observers = (
+        torch.einsum("omi,omj->mij", displacement, displacement) * (count / (count - 1).clamp(min=1))[:, None, None]
+    )
     # With one observer the sum is only how far the prior pulls.
     by_observers *= (count > 1)[:, None, None]
     return by_model, by_observers.masked_fill(gives.isnan(), torch.nan)

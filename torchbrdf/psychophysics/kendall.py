@@ -40,8 +40,8 @@ def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
     took_part = (wins + wins.mT > 0).any(-1).any(-1)
     whole = (complete(wins) | ~took_part).all(0) & comparisons.present.any(-1)
     # All were asked about the same stimuli, if each was asked about as many as all.
-    asked = (wins + wins.mT > 0).any(-1).sum(-1)
-    whole &= ((asked == comparisons.present.sum(-1)) | ~took_part).all(0)
+    compared = (wins + wins.mT > 0).any(-1).sum(-1)
+    whole &= ((compared == comparisons.present.sum(-1)) | ~took_part).all(0)
     m = took_part.sum(0).to(torch.float64)
     n = comparisons.present.sum(-1).to(torch.float64)
     pairs, judges = n * (n - 1) / 2, m * (m - 1) / 2
@@ -57,10 +57,10 @@ def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
 
 def complete(wins: Tensor) -> Tensor:
     """Complete designs, bool `(...)`: whether each pair of two or more stimuli was judged once; wins `(..., n, n)`."""
-    asked = wins + wins.mT
-    present = (asked > 0).any(-1)
+    compared = wins + wins.mT
+    present = (compared > 0).any(-1)
     due = (present.unsqueeze(-1) & present.unsqueeze(-2)).to(wins) - torch.diag_embed(present.to(wins))
-    return (asked == due).all(-1).all(-1) & present.any(-1)
+    return (compared == due).all(-1).all(-1) & present.any(-1)
 
 
 def circular_triads(wins: Tensor) -> Tensor:

@@ -117,8 +117,8 @@ def agreement_with_others(comparisons: Comparisons, prior: float = PRIOR) -> Ten
     """
     found = _likelihoods(comparisons, prior)
     centre = found.nanquantile(0.5)
-    spread = 1.4826 * (found - centre).abs().nanquantile(0.5)
-    return (found - centre) / spread.clamp(min=1)
+    deviation = 1.4826 * (found - centre).abs().nanquantile(0.5)
+    return (found - centre) / deviation.clamp(min=1)
 
 
 def _likelihoods(comparisons: Comparisons, prior: float) -> Tensor:
@@ -132,12 +132,12 @@ def _likelihoods(comparisons: Comparisons, prior: float) -> Tensor:
         variance = single.unsqueeze(-1) + single.unsqueeze(-2) - 2 * covariance
         difference = (scale.unsqueeze(-1) - scale.unsqueeze(-2)) / (1 + variance.clamp(min=0)).sqrt()
         log = torch.special.log_ndtr(difference.nan_to_num())
-        chance, asked = log.exp(), own + own.mT
+        chance, compared = log.exp(), own + own.mT
         likelihood = (own * log).sum((-3, -2, -1))
-        expected = (asked * chance * log).sum((-3, -2, -1))
+        expected = (compared * chance * log).sum((-3, -2, -1))
         # Each pair is here twice.
-        spread = (asked * chance * (1 - chance) * (log - log.mT).square()).sum((-3, -2, -1)) / 2
-        found.append(((likelihood - expected) / spread.sqrt()).masked_fill(spread <= 0, torch.nan))
+        variance_of_log = (compared * chance * (1 - chance) * (log - log.mT).square()).sum((-3, -2, -1)) / 2
+        found.append(((likelihood - expected) / variance_of_log.sqrt()).masked_fill(variance_of_log <= 0, torch.nan))
     return torch.cat(found)
 
 

@@ -78,9 +78,9 @@ def _powers(difference: float, observers: NDArray[np.int64], alpha: float, stimu
     if stimuli == 2:
         chance = stats.norm.cdf(abs(difference))
         # The most answers for one side that are too few; and as many for the other.
-        few = stats.binom.ppf(alpha / 2, observers, 0.5)
-        few -= stats.binom.cdf(few, observers, 0.5) > alpha / 2 * (1 + 1e-9)
-        low, high = (stats.binom.cdf(few, observers, p) for p in (chance, 1 - chance))
+        too_few = stats.binom.ppf(alpha / 2, observers, 0.5)
+        too_few -= stats.binom.cdf(too_few, observers, 0.5) > alpha / 2 * (1 + 1e-9)
+        low, high = (stats.binom.cdf(too_few, observers, p) for p in (chance, 1 - chance))
         return np.asarray(low + high)
     shift = abs(difference) * np.sqrt(observers) / _sigma(difference, stimuli)
     z = stats.norm.isf(alpha / 2)

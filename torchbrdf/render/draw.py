@@ -13,6 +13,7 @@ from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_mat
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
+from torchbrdf.progress import Progress
 from torchbrdf.render.scene import Chunk, Scene
 
 # Measured tables that are open at once.
@@ -20,7 +21,6 @@ _TABLES = 12
 
 Shader = Callable[[Pairs], Tensor]
 Brdf = Lobe | Measured | Shader
-Progress = Callable[[int, int], None]
 
 
 def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:

@@ -90,13 +90,13 @@ class Scene:
         self.cache = None if cache is None else Path(cache)
         self._pixels = rasterize_pixels(mesh, self.camera, size, backend)
         occluder = _occluder(mesh) if shadows else None
-        self._parts: list[Quadrature] = []
+        self._quadratures: list[Quadrature] = []
         if self.environment is not None:
-            self._parts.append(HalfVectorQuadrature(self._pixels, self.environment, nodes, occluder))
+            self._quadratures.append(HalfVectorQuadrature(self._pixels, self.environment, nodes, occluder))
             samples = self.environment.light_samples(light_samples)
-            self._parts.append(LightQuadrature(self._pixels, samples, resolution, occluder))
+            self._quadratures.append(LightQuadrature(self._pixels, samples, resolution, occluder))
         if punctual_lights:
-            self._parts.append(PunctualQuadrature(self._pixels, punctual_lights, occluder))
+            self._quadratures.append(PunctualQuadrature(self._pixels, punctual_lights, occluder))
 
     @property
     def coverage(self) -> Tensor:
@@ -122,22 +122,22 @@ class Scene:
     @property
     def _jobs(self) -> list[tuple[Quadrature, Tensor]]:
         whole = torch.arange(len(self._pixels))
-        return [(part, rows) for part in self._parts for rows in whole.split(max(_CHUNK // part.length, 1))]
+        return [(part, rows) for part in self._quadratures for rows in whole.split(max(_CHUNK // part.length, 1))]
 
     @cached_property
-    def _compact(self) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
-        return build_transport(self._jobs, self._parts)
+    def _built(self) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
+        return build_transport(self._jobs, self._quadratures)
 
     @cached_property
     def _whole(self) -> tuple[Pairs, Transport]:
         index = self._pixels.index
-        if len(index) * sum(part.length for part in self._parts) * _BYTES_PER_ENTRY > LARGEST_KEPT:
-            pairs, make = self._compact
+        if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > LARGEST_KEPT:
+            pairs, make = self._built
             return pairs, Transport(len(pairs), index, self.size, make)
 
         def build() -> tuple[Pairs, list[Block]]:
-            pairs, make = self._compact
-            return pairs, merge_blocks(make(), self._jobs, self._parts)
+            pairs, make = self._built
+            return pairs, merge_blocks(make(), self._jobs, self._quadratures)
 
         pairs, blocks = build() if self.cache is None else load_or_build(self.cache, self._ingredients(), build)
         return pairs, Transport(len(pairs), index, self.size, blocks)

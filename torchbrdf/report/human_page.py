@@ -39,7 +39,7 @@ _ADDED = {
 class HumanPage:
     """What the page has to say beside the numbers."""
 
-    made_up: bool
+    synthetic: bool
     stand_in: bool
     images: bool
     left_out: Sequence[str]
@@ -48,15 +48,15 @@ class HumanPage:
     replicates: int
 
 
-def write_human_report(folder: Path, table: Table, subjects: BenchmarkData, said: HumanPage) -> Path:
+def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: HumanPage) -> Path:
     """Draw the figure and write `report.html`; gives its path."""
     figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.made_up else ""))
-    opinions, triplets = subjects.opinions, subjects.triplets
+    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.synthetic else ""))
+    opinions, triplets = data.opinions, data.triplets
     page = template("human.html").render(
         title=TITLE,
         said=said,
-        findings=[*findings(table), *([] if said.made_up else trained(table))],
+        findings=[*findings(table), *([] if said.synthetic else trained(table))],
         figure=embed_png(figure),
         tables=[
             *_agreement_tables(table),
@@ -68,7 +68,7 @@ def write_human_report(folder: Path, table: Table, subjects: BenchmarkData, said
         rows=len(opinions),
         approximated=len(set(opinions.materials)),
         methods=list(dict.fromkeys(opinions.methods)),
-        without=subjects.left_out,
+        without=data.left_out,
         apart=[method for method in LEFT_OUT if method in opinions.methods],
         factors=FACTORS,
         odd=ODD_METHOD,
@@ -95,8 +95,8 @@ def findings(table: Table) -> list[str]:
         best = max(known, key=lambda k: float(table.value[k, s]))
         limit = "" if one.ceiling is None else f"; people's own disagreement lets nothing pass {table.ceiling[s]:.3f}"
         first = table.losses[best]
-        rivals = [table.losses[k] for k in known if k != best]
-        level = [label(name) for name in rivals if table.difference(first, name)[1][s] <= 0]
+        others = [table.losses[k] for k in known if k != best]
+        level = [label(name) for name in others if table.difference(first, name)[1][s] <= 0]
         tied = f" Not clearly worse: {', '.join(level)}." if level else " It is clearly ahead of all others."
         lines.append(
             f"{one.label[0].upper()}{one.label[1:]}: best is {label(first)} with "
@@ -176,7 +176,7 @@ def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int
     """Agreement of each loss, and the ceiling in the last row, which is no rival."""
     ceiling = len(scores.losses)
 
-    def agreement(s: int) -> Column[int]:
+    def agreement_column(s: int) -> Column[int]:
         one = scores.statistics[s]
 
         def value(row: int) -> Sequence[Any]:
@@ -194,7 +194,7 @@ def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int
 
     rows = [k for k in range(ceiling) if bool(scores.value[k, list(columns)].isfinite().any())]
     head = Column[int]("loss", lambda row: "ceiling: people" if row == ceiling else label(scores.losses[row]))
-    return table(title, note, [*rows, ceiling], [head, *map(agreement, columns)])
+    return table(title, note, [*rows, ceiling], [head, *map(agreement_column, columns)])
 
 
 def _difference_table(scores: Table, rival: str) -> PageTable:

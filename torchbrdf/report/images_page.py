@@ -37,7 +37,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     rendered = [name for name, loss in grid.losses.items() if isinstance(loss, ImageLoss)]
     analytic = [name for name in grid.losses if name not in rendered]
     figure = folder / "figures" / "losses.png"
-    means = {scene: {x: _values(pictures.seen(scene), x) for x in grid.losses} for scene in scenes}
+    means = {scene: {x: _values(pictures.records_in(scene), x) for x in grid.losses} for scene in scenes}
     bars_figure(figure, means, rendered, grid.stand_in)
     for scene in scenes:
         for model in grid.models:
@@ -69,9 +69,9 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
 def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str], rendered: list[str]) -> list[str]:
     """What the numbers say, in sentences."""
     grid = pictures.grid
-    seen = pictures.seen(unseen)
+    records = pictures.records_in(unseen)
     agree = {
-        metric: np.mean([statistics.rank_agreement(seen, metric, difference) for difference in pictures.differences])
+        metric: np.mean([statistics.rank_agreement(records, metric, difference) for difference in pictures.differences])
         for metric in analytic
     }
     order = sorted(analytic, key=lambda metric: -agree[metric])
@@ -83,16 +83,16 @@ def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str]
         + "."
     ]
     for scene in (unseen, training):
-        mean = {x: float(np.mean(_values(pictures.seen(scene), x))) for x in grid.losses}
+        mean = {x: float(np.mean(_values(pictures.records_in(scene), x))) for x in grid.losses}
         best, bought = (min(part, key=lambda x: mean[x]) for part in (analytic, rendered))
         lines.append(
             f"In the {scene} scene the fits under {loss_label(best)} look best of those under analytic metrics (mean "
             f"ΔE {mean[best]:.2f}), those under {loss_label(bought)} best of the rendered ones ({mean[bought]:.2f})."
         )
     for loss in rendered:
-        ours = _by_fit(seen, loss)
-        rivals = {key: min(_by_fit(seen, x)[key] for x in analytic) for key in ours}
-        count = sum(ours[key] <= rivals[key] for key in ours)
+        ours = _by_fit(records, loss)
+        others = {key: min(_by_fit(records, x)[key] for x in analytic) for key in ours}
+        count = sum(ours[key] <= others[key] for key in ours)
         lines.append(
             f"{loss_label(loss)}: in the unseen scene no farther from the reference than the best of all "
             f"{len(analytic)} analytic metrics in {count} of {len(ours)} fits. A fit took "
@@ -149,11 +149,11 @@ def _grid_figure(pictures: Pictures, scene: str, model: str) -> None:
 
 def _difference_table(pictures: Pictures, scene: str, words: str) -> Table:
     """Mean image differences of the fits under each loss."""
-    seen = pictures.seen(scene)
+    records = pictures.records_in(scene)
 
     def difference(name: str) -> Column[str]:
         best = max if DIFFERENCES[name].higher_is_better else min
-        return Column(difference_label(name), lambda loss: statistics.mean_difference(seen, loss, name), ".3f", best)
+        return Column(difference_label(name), lambda loss: statistics.mean_difference(records, loss, name), ".3f", best)
 
     note = f"Means over all materials and models, in the {scene} scene ({words}). Bold: the best."
     columns = [Column("fits under", loss_label), *map(difference, pictures.differences)]
@@ -162,13 +162,13 @@ def _difference_table(pictures: Pictures, scene: str, words: str) -> Table:
 
 def _agreement_table(pictures: Pictures, scene: str, metrics: Sequence[str]) -> Table:
     """How each metric ranks fits, beside how image differences do."""
-    seen = pictures.seen(scene)
+    records = pictures.records_in(scene)
 
     def agreement(name: str) -> Column[str]:
-        return Column(difference_label(name), lambda metric: statistics.rank_agreement(seen, metric, name), ".2f")
+        return Column(difference_label(name), lambda metric: statistics.rank_agreement(records, metric, name), ".2f")
 
     def mean(metric: str) -> float:
-        return float(np.mean([statistics.rank_agreement(seen, metric, name) for name in pictures.differences]))
+        return float(np.mean([statistics.rank_agreement(records, metric, name) for name in pictures.differences]))
 
     note = (
         "Spearman's rank correlation between a metric's error and an image difference over all fits of a material "

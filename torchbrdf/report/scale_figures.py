@@ -84,8 +84,8 @@ def _lines_figure(
         for panel, (title, lines) in zip(axes, panels.items(), strict=True):
             for k, line in enumerate(lines):
                 color = "black" if line.black else COLORS.get(line.loss or "", _OTHERS[k % len(_OTHERS)])
-                apart = 0.09 * (k - (len(lines) - 1) / 2)
-                _line(panel, [values.get((name, line.name)) for name in order], apart, line.label, color)
+                offset = 0.09 * (k - (len(lines) - 1) / 2)
+                _line(panel, [values.get((name, line.name)) for name in order], offset, line.label, color)
             panel.set_title(title)
             panel.set_xticks(range(len(order)), order, rotation=60, ha="right")
             panel.margins(x=0.04)
@@ -114,8 +114,8 @@ def _dots_figure(path: Path, materials: Sequence[str], values: Values, mark: str
         figure.supxlabel(UNIT, fontsize=9)
 
 
-def _line(panel: Any, points: Sequence[ScalePoint | None], apart: float, label: str, color: str) -> None:
-    there = [(k + apart, point) for k, point in enumerate(points) if point is not None]
+def _line(panel: Any, points: Sequence[ScalePoint | None], offset: float, label: str, color: str) -> None:
+    there = [(k + offset, point) for k, point in enumerate(points) if point is not None]
     x, shown = [place for place, _ in there], [point for _, point in there]
     _bars(panel, x, [point.value for point in shown], shown, color, "y", label)
     for place, point in there:

@@ -27,7 +27,7 @@ SIDE, TITLE, MOST_INCHES = 2.1, 0.4, 150.0
 # Of a title, to a line.
 LETTERS = 36
 # Between pictures, as a share of a cell; and room for the colour scale, in inches.
-GAP, SCALE = 0.03, 0.9
+GAP, SCALE_WIDTH = 0.03, 0.9
 
 # Names that a folder of pictures has for itself.
 SHEET, TONE_MAP = "sheet", "tonemap"
@@ -100,8 +100,8 @@ def write_sheet(
     side = min(SIDE, MOST_INCHES / rows - TITLE)
     size = min(7.5, 3.5 * side)
     height, width = rows * (side + TITLE), across * side
-    with new_figure(path, width + SCALE * fits, height, layout=None) as figure:
-        axes = figure.add_axes((0, 0, width / (width + SCALE * fits), 1))
+    with new_figure(path, width + SCALE_WIDTH * fits, height, layout=None) as figure:
+        axes = figure.add_axes((0, 0, width / (width + SCALE_WIDTH * fits), 1))
         axes.set(xlim=(0, across), ylim=(height / side, 0))
         axes.set_axis_off()
         for cell in cells:
@@ -114,7 +114,7 @@ def write_sheet(
         axes.set(xlim=(0, across), ylim=(height / side, 0), aspect="auto")  # which imshow changed
         if fits:
             tall = min(height - TITLE, 4 * SIDE)
-            place = (1 - 0.75 * SCALE / figure.get_figwidth(), 1 - (tall + 0.3) / height)
+            place = (1 - 0.75 * SCALE_WIDTH / figure.get_figwidth(), 1 - (tall + 0.3) / height)
             bar = figure.add_axes((*place, 0.15 / figure.get_figwidth(), (tall - 0.1) / height))
             figure.colorbar(ScalarMappable(Normalize(0, BRIGHTEST), COLOR_MAP), cax=bar, extend="max")
             bar.set_ylabel("CIELAB ΔE 76 to the reference, pixel by pixel", fontsize=7.5)

@@ -70,15 +70,15 @@ def table(title: str, note: str, rows: Iterable[Row], columns: Sequence[Column[R
     for r, row in enumerate(rows):
         cells.append([])
         for c, column in enumerate(columns):
-            rivals = [values[r][k] for k, other in enumerate(columns) if other.among == column.among]
-            best = _is_best(values[r][c], rivals if column.among else [own[c] for own in values], column)
+            others = [values[r][k] for k, other in enumerate(columns) if other.among == column.among]
+            best = _is_best(values[r][c], others if column.among else [own[c] for own in values], column)
             cells[-1].append(Cell(column.text(values[r][c]), best or column.bold(row), column.outlier(row)))
     return Table(title, note, [column.head for column in columns], cells)
 
 
-def _is_best(value: Any, rivals: Sequence[Any], column: Column[Row]) -> bool:
+def _is_best(value: Any, others: Sequence[Any], column: Column[Row]) -> bool:
     """Whether a value is the best of those that it is compared with, itself among them."""
     if column.best is None or value is None:
         return False
-    keys = [key for key in (column.key(rival) for rival in rivals if rival is not None) if key == key]
+    keys = [key for key in (column.key(other) for other in others if other is not None) if key == key]
     return bool(keys) and bool(column.key(value) == column.best(keys))

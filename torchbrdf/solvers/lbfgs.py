@@ -104,23 +104,23 @@ def minimize_lbfgs(
         raise ShapeError("minimize_lbfgs: a lower bound is above its upper bound")
     problems = start.shape[0]
     x = start.clamp(lower, upper)
-    everyone = torch.arange(problems, device=start.device)
-    value, gradient = objective.value_and_gradient(x, everyone)
+    all_rows = torch.arange(problems, device=start.device)
+    value, gradient = objective.value_and_gradient(x, all_rows)
     history = _Memory(min(memory, max(10, x.shape[1])), problems, x)
     status = [Status.MAX_ITERATIONS] * problems
     iterations = torch.zeros(problems, dtype=torch.long)
     fresh = torch.ones(problems, dtype=torch.bool, device=x.device)  # memory empty: nothing left to forget
 
-    def finish(rows: Tensor, ended: Tensor, why: Status) -> Tensor:
+    def stop(rows: Tensor, ended: Tensor, why: Status) -> Tensor:
         for row in rows[ended].tolist():
             status[row] = why
         return rows[~ended]
 
-    rows = finish(everyone, ~(value.isfinite() & gradient.isfinite().all(-1)), Status.NOT_FINITE)
+    rows = stop(all_rows, ~(value.isfinite() & gradient.isfinite().all(-1)), Status.NOT_FINITE)
     for _ in range(max_iterations):
         size = value.abs() + fmin
         projected = (x - gradient / size[:, None]).clamp(lower, upper) - x
-        rows = finish(rows, projected[rows].abs().amax(-1) <= gtol, Status.CONVERGED)
+        rows = stop(rows, projected[rows].abs().amax(-1) <= gtol, Status.CONVERGED)
         if not len(rows):
             break
         x0, f0, g0, low, high = x[rows], value[rows], gradient[rows], lower[rows], upper[rows]
@@ -142,8 +142,8 @@ def minimize_lbfgs(
         history.forget(rows[~gained])
         fresh[rows] = ~gained
         minimum = accepted | (promise <= RESOLUTION * size[rows]) | (value[rows].abs() <= fmin)
-        finish(rows, ended & minimum, Status.CONVERGED)
-        finish(rows, ended & ~minimum, Status.STALLED)
+        stop(rows, ended & minimum, Status.CONVERGED)
+        stop(rows, ended & ~minimum, Status.STALLED)
         rows = rows[~ended]
     return Solution(x, value, status, iterations)
 

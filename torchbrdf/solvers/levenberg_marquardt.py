@@ -8,7 +8,7 @@ from torchbrdf.errors import ShapeError
 from torchbrdf.solvers.bounded_qp import Array, solve_bounded_qp
 from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
-SMALLEST, LARGEST = 1e-9, 1e9
+MIN_DAMPING, MAX_DAMPING = 1e-9, 1e9
 FLATTEST = 0.02
 
 
@@ -74,12 +74,12 @@ def minimize_levenberg_marquardt(
     iterations = np.zeros(problems, dtype=np.int64)
     lam, growth, trust = np.full(problems, damping), np.full(problems, 2.0), np.ones(problems)
 
-    def finish(ended: Array, why: Status) -> None:
+    def stop(ended: Array, why: Status) -> None:
         for row in ended.tolist():
             status[row] = why
 
     good = _finite(value, gradient, matrix)
-    finish(rows[~good], Status.NOT_FINITE)
+    stop(rows[~good], Status.NOT_FINITE)
     rows = rows[good]
     for _ in range(max_iterations):
         if not len(rows):
@@ -88,17 +88,17 @@ def minimize_levenberg_marquardt(
         curved = matrix[rows] * trust[rows, None, None]
         expected, step = _step(gradient[rows], curved, *room, lam[rows])
         size = np.abs(value[rows]) + fmin
-        stuck = lam[rows] >= LARGEST
+        stuck = lam[rows] >= MAX_DAMPING
         ending = np.flatnonzero((expected <= 100 * ftol * size) | stuck)
         if len(ending):
             at = rows[ending]
-            undamped = np.full(len(at), SMALLEST)
+            undamped = np.full(len(at), MIN_DAMPING)
             promise, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
             done = promise <= ftol * size[ending]
             nothing_left = (promise <= RESOLUTION * size[ending]) | (np.abs(value[at]) <= fmin)
             minimum = done | (stuck[ending] & nothing_left)
-            finish(at[minimum], Status.CONVERGED)
-            finish(at[stuck[ending] & ~minimum], Status.STALLED)
+            stop(at[minimum], Status.CONVERGED)
+            stop(at[stuck[ending] & ~minimum], Status.STALLED)
             left = np.ones(len(rows), dtype=bool)
             left[ending[minimum | stuck[ending]]] = False
             rows, expected, step = rows[left], expected[left], step[left]
@@ -109,10 +109,11 @@ def minimize_levenberg_marquardt(
         f, g, h = evaluate(tried, rows)
         better = _finite(f, g, h) & (f <= value[rows] - 1e-4 * expected) & (expected > 0)
         ratio = np.where(better, (value[rows] - f) / np.where(better, expected, 1.0), 0.0)
-        moved = rows[better]
-        x[moved], value[moved], gradient[moved], matrix[moved] = tried[better], f[better], g[better], h[better]
+        accepted = rows[better]
+        x[accepted], value[accepted] = tried[better], f[better]
+        gradient[accepted], matrix[accepted] = g[better], h[better]
         shrink = (1 - (2 * ratio - 1) ** 3).clip(0.1, 2.0)
-        lam[rows] = np.where(better, (lam[rows] * shrink).clip(SMALLEST), lam[rows] * growth[rows])
+        lam[rows] = np.where(better, (lam[rows] * shrink).clip(MIN_DAMPING), lam[rows] * growth[rows])
         growth[rows] = np.where(better, 2.0, growth[rows] * 2)
         flatter = np.where(ratio > 1.1, trust[rows] / 2, trust[rows])
         trust[rows] = np.where(better, flatter, trust[rows] * 3).clip(FLATTEST, 1.0)

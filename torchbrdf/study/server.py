@@ -21,7 +21,7 @@ from torchbrdf.study.plan import PLAN, TEXTS, Plan, inside
 from torchbrdf.study.store import SIDES, STORE, IneligibleError, NotNowError, State, Store, UnknownObserverError
 
 PAGES = Path(__file__).parent / "pages"
-KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+CONTENT_TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 PORT = 8000
 # So many trials after the current one may be loaded ahead; so few that nobody can look through the study.
 AHEAD = 2
@@ -137,7 +137,7 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
     app.url_map.merge_slashes = False  # a climbing path is not put right, but refused
-    parts = {path.name: path for path in PAGES.iterdir() if path.suffix in KINDS}
+    parts = {path.name: path for path in PAGES.iterdir() if path.suffix in CONTENT_TYPES}
     texts = {key: re.split(r"\n\s*\n", plan.text(key).strip()) for key in TEXTS}
     largest = [max(sizes) for sizes in zip(*(size for _, size in pictures.values()), strict=True)]
 
@@ -154,7 +154,7 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
     def part(name: str) -> Response:
         if name not in parts:
             abort(404)
-        return Response(parts[name].read_bytes(), content_type=f"{KINDS[parts[name].suffix]}; charset=utf-8")
+        return Response(parts[name].read_bytes(), content_type=f"{CONTENT_TYPES[parts[name].suffix]}; charset=utf-8")
 
     @app.post("/begin")
     def begin() -> tuple[Response, int]:

@@ -32,9 +32,9 @@ class BinnedSums(Sums):
         if self.objective.given_weight is not None:
             given = self._own(self.objective.given_weight[..., samples])
             difference, rate = difference * given, rate * given
-        moved = (rate[:, :, None] * basis[:, None]).flatten(1, 2)
+        derivatives = (rate[:, :, None] * basis[:, None]).flatten(1, 2)
         self.means = self.means + (difference @ membership).double()
-        self.mean_slopes = self.mean_slopes + (moved @ membership).double()
+        self.mean_slopes = self.mean_slopes + (derivatives @ membership).double()
 
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix, as `Sums.totals` gives them, with those of the bins' residuals."""
@@ -42,10 +42,10 @@ class BinnedSums(Sums):
         mass, factor = self._own(self.objective.assignment.mass), self.objective.mean_factor
         slopes = (torch.as_tensor(self.mean_slopes) / mass).unflatten(1, (3, -1))
         residual = (torch.as_tensor(self.means) / mass).flatten(1) @ factor
-        moved = torch.einsum("rcqg,rcqp->rpcg", slopes, jacobian).flatten(2) @ factor
+        mean_jacobian = torch.einsum("rcqg,rcqp->rpcg", slopes, jacobian).flatten(2) @ factor
         value = value + residual.square().sum(1)
-        gradient = gradient + 2 * (moved @ residual[..., None])[..., 0]
-        return value, gradient, matrix + 2 * moved @ moved.mT if self.grams is not None else matrix
+        gradient = gradient + 2 * (mean_jacobian @ residual[..., None])[..., 0]
+        return value, gradient, matrix + 2 * mean_jacobian @ mean_jacobian.mT if self.grams is not None else matrix
 
     def _own(self, values: Tensor) -> Tensor:
         """What belongs to these materials."""

@@ -90,20 +90,20 @@ class ImageObjective(GaussNewtonObjective):
         """From what is observed of the responses."""
         dtype = self.problem.target.dtype
         albedos = basis.albedos(values, dtype)
-        seen = self._observed_responses(basis, values, len(materials))
-        observed = torch.einsum("rck,rkcp->rpc", albedos, seen[:, len(basis.slopes) :])
+        responses = self._observed_responses(basis, values, len(materials))
+        observed = torch.einsum("rck,rkcp->rpc", albedos, responses[:, len(basis.slopes) :])
         target = self.observed_target[materials]
         if curvature:
             value, slope, curve = self.loss.quadratic_majorizer(observed, target, width)
         else:
             value, slope = self._compare_with_gradient(observed, target)
         jacobian = basis.jacobian(values, albedos.double()).to(dtype)
-        moved = torch.einsum("rqcp,rcqt->rtpc", seen[:, : len(basis.used)], jacobian).flatten(2)
-        gradient = (moved @ slope.flatten(1)[..., None])[..., 0].double() / scale[:, None]
+        picture_jacobian = torch.einsum("rqcp,rcqt->rtpc", responses[:, : len(basis.used)], jacobian).flatten(2)
+        gradient = (picture_jacobian @ slope.flatten(1)[..., None])[..., 0].double() / scale[:, None]
         if not curvature:
             return value / scale, gradient, gradient.new_empty(0)
-        curved = torch.einsum("rpcd,rtpd->rtpc", curve, moved.unflatten(2, (-1, 3))).flatten(2)
-        matrix = (moved @ curved.mT).double()
+        curved_jacobian = torch.einsum("rpcd,rtpd->rtpc", curve, picture_jacobian.unflatten(2, (-1, 3))).flatten(2)
+        matrix = (picture_jacobian @ curved_jacobian.mT).double()
         return value / scale, gradient, (matrix + matrix.mT) / (2 * scale[:, None, None])
 
     def _observed_responses(self, basis: Basis, values: ParameterDict, problems: int) -> Tensor:

@@ -162,10 +162,10 @@ class PixelDifference(Difference):
 
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean square, or the mean length."""
-        apart = self.encode(image) - self.encode(reference)
+        difference = self.encode(image) - self.encode(reference)
         if self.power == 2:
-            return masked_mean(apart.square().mean(-1), mask)
-        return masked_mean(torch.linalg.vector_norm(apart, dim=-1), mask)
+            return masked_mean(difference.square().mean(-1), mask)
+        return masked_mean(torch.linalg.vector_norm(difference, dim=-1), mask)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
 
 # Bytes of values that a loss sees at once; it may make several times as many on its way.
-_SEEN = 2**23
+_BATCH_BYTES = 2**23
 # Materials whose values on the pairs of a scene are held at once.
 _MATERIALS = 8
 
@@ -139,11 +139,11 @@ def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ImageLoss | None 
     place = {name: k for k, name in enumerate(names)}
     step = len(names) if through is None else _MATERIALS
     rows = list(range(len(data.opinions)))
-    view = (lambda values: values) if through is None else through.observe
+    observe = (lambda values: values) if through is None else through.observe
     return EvaluatedBrdfs(
-        torch.cat([view(data.references(pairs, names[k : k + step])) for k in range(0, len(names), step)]),
+        torch.cat([observe(data.references(pairs, names[k : k + step])) for k in range(0, len(names), step)]),
         torch.cat(
-            [view(data.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
+            [observe(data.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
             or [pairs.cos_i.new_empty(0, len(pairs), 3)]
         ),
         torch.tensor([place[name] for name in data.opinions.materials], dtype=torch.long),
@@ -173,7 +173,7 @@ def distances(
     if loss.reduction != "none":
         raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
     found = torch.empty(len(first), dtype=torch.float64)
-    step = max(_SEEN // (prediction[0].numel() * prediction.element_size()), 1)
+    step = max(_BATCH_BYTES // (prediction[0].numel() * prediction.element_size()), 1)
     with torch.no_grad():
         for k in range(0, len(first), step):
             one, other = prediction[first[k : k + step]], target[second[k : k + step]]
@@ -186,7 +186,7 @@ def distances(
     return found
 
 
-def score_triplets(loss: Loss, seen: EvaluatedBrdfs, triplets: Triplets) -> Tensor:
+def score_triplets(loss: Loss, brdfs: EvaluatedBrdfs, triplets: Triplets) -> Tensor:
     """Distances of triplets' candidates from their references by a loss.
 
     The candidate is the prediction, the reference the target.
@@ -199,12 +199,12 @@ def score_triplets(loss: Loss, seen: EvaluatedBrdfs, triplets: Triplets) -> Tens
     place = torch.cat([reference * count + a, reference * count + b]).unique()
     matrix = torch.full((count * count,), torch.nan, dtype=torch.float64)
     matrix[place] = distances(
-        loss, seen.materials, seen.materials, seen.pairs, place % count, place.div(count, rounding_mode="floor")
+        loss, brdfs.materials, brdfs.materials, brdfs.pairs, place % count, place.div(count, rounding_mode="floor")
     )
     return matrix.unflatten(0, (count, count))
 
 
-def score_opinions(loss: Loss, seen: EvaluatedBrdfs) -> Tensor:
+def score_opinions(loss: Loss, brdfs: EvaluatedBrdfs) -> Tensor:
     """Distances of approximations from their materials by a loss, `(R,)` float64. The material is the target."""
-    rows = torch.arange(len(seen.approximations))
-    return distances(loss, seen.approximations, seen.materials, seen.pairs, rows, seen.target)
+    rows = torch.arange(len(brdfs.approximations))
+    return distances(loss, brdfs.approximations, brdfs.materials, brdfs.pairs, rows, brdfs.target)

@@ -99,7 +99,7 @@ def same_material(opinions: Opinions, *, well_separated: bool = False) -> Distan
     material = _label_indices(opinions.materials)
     first, second = _pairs(material)
     difference = opinions.distance[first] - opinions.distance[second]
-    keep = difference.abs() > (2 * _spread(opinions, first, second) if well_separated else 0)
+    keep = difference.abs() > (2 * _standard_error_of_difference(opinions, first, second) if well_separated else 0)
     return _rows(opinions, first[keep], second[keep], material, None)
 
 
@@ -129,7 +129,7 @@ def expected_order(comparisons: DistanceComparisons, opinions: Opinions) -> Tens
     """
     nearer, farther = comparisons.nearer, comparisons.farther
     difference = opinions.distance[farther] - opinions.distance[nearer]
-    return torch.special.ndtr(difference / _spread(opinions, nearer, farther))[None]
+    return torch.special.ndtr(difference / _standard_error_of_difference(opinions, nearer, farther))[None]
 
 
 def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> DistanceComparisons:
@@ -173,6 +173,6 @@ def _pairs(label: Tensor) -> tuple[Tensor, Tensor]:
     return first[same], second[same]
 
 
-def _spread(opinions: Opinions, first: Tensor, second: Tensor) -> Tensor:
+def _standard_error_of_difference(opinions: Opinions, first: Tensor, second: Tensor) -> Tensor:
     error = opinions.standard_error
     return (error[first].square() + error[second].square()).sqrt()

@@ -122,9 +122,9 @@ def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str]
             count,
         ),
     ]
-    apart = [method for method in without if method in opinions.methods]
-    for added in ("", *apart):
-        rows = [row for row, method in enumerate(opinions.methods) if method == added or method not in apart]
+    own_tables = [method for method in without if method in opinions.methods]
+    for added in ("", *own_tables):
+        rows = [row for row, method in enumerate(opinions.methods) if method == added or method not in own_tables]
         found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long), added)
     return [one for one in found if len(one.comparisons)]
 

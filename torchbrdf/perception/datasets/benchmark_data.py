@@ -34,8 +34,8 @@ def read_benchmark_data(
     models: dict[str, Approximation] = {method: sets[name] for method, name in METHODS.items() if name in sets}
     if tables.is_file():
         models[FACTORS] = read_factors(tables)
-    asked, opined = read_triplets(folder / triplets), read_opinions(folder / opinions)
+    triplet_answers, opined = read_triplets(folder / triplets), read_opinions(folder / opinions)
     measured = load(materials)
-    wanted = {*asked.materials, *opined.materials}
+    wanted = {*triplet_answers.materials, *opined.materials}
     measured = measured.batch([k for k, name in enumerate(measured.names) if name in wanted])
-    return BenchmarkData(measured, asked, opined, models)
+    return BenchmarkData(measured, triplet_answers, opined, models)

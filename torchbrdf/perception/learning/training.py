@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.losses.base import Loss
-from torchbrdf.losses.learned import ROWS, pack_weights
+from torchbrdf.losses.learned import THETA_H_BINS, pack_weights
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
@@ -79,12 +79,12 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     Weights are squares, so at least 0, and the pointwise ones have a share of `MIN_POINTWISE_SHARE` of their sum; terms
     are taken in units of their means. There is nothing random in it; early stopping is the choice of an iteration.
     """
-    unit = term_scales(training_set)
-    scaled = TrainingSet(**{**vars(training_set), "terms": training_set.terms / unit})
+    unit = feature_scales(training_set)
+    scaled = TrainingSet(**{**vars(training_set), "features": training_set.features / unit})
     start = torch.full_like(unit, len(unit) ** -0.5)
     roots = start.clone().requires_grad_()
     share = torch.zeros_like(unit)
-    share[:ROWS] = MIN_POINTWISE_SHARE / (1 - MIN_POINTWISE_SHARE) / ROWS
+    share[:THETA_H_BINS] = MIN_POINTWISE_SHARE / (1 - MIN_POINTWISE_SHARE) / THETA_H_BINS
     slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     parts = [
         {name: select_judgments(training_set, own, split, seen=seen) for name, own in training_set.judgments.items()}
@@ -115,9 +115,9 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     return History(torch.stack(curve), torch.stack(weights))
 
 
-def term_scales(training_set: TrainingSet) -> Tensor:
-    """Scale of the terms `(T,)`: the mean of each over the distances of two materials, else over all."""
-    return training_set.terms[_usual(training_set)].mean(0).clamp_min(1e-12)
+def feature_scales(training_set: TrainingSet) -> Tensor:
+    """Scale of the features `(T,)`: the mean of each over the distances of two materials, else over all."""
+    return training_set.features[_usual(training_set)].mean(0).clamp_min(1e-12)
 
 
 def _usual(training_set: TrainingSet) -> Tensor:
@@ -160,7 +160,7 @@ def baseline_distances(
     between = training_set.method < 0
     found = {}
     for name, loss in losses.items():
-        distance = torch.empty(len(training_set.terms), dtype=torch.float64)
+        distance = torch.empty(len(training_set.features), dtype=torch.float64)
         for own, values in ((between, seen.materials), (~between, seen.approximations)):
             place = training_set.first[own], training_set.second[own]
             distance[own] = distances(loss, values, seen.materials, seen.pairs, *place)
@@ -204,8 +204,8 @@ def held_out(
             own.group[tested].unique(return_inverse=True)[1],
         )
         rows = torch.cat([mine[None], part.concordant(torch.stack(list(others.values())))] if others else [mine[None]])
-        share, spread = part.agreement_rate(rows), part.agreement_rate(rows, draws)
-        ends, gains = percentile_interval(spread), percentile_interval(spread[:, :1] - spread)
+        share, resampled = part.agreement_rate(rows), part.agreement_rate(rows, draws)
+        ends, gains = percentile_interval(resampled), percentile_interval(resampled[:, :1] - resampled)
         found[statistic] = {
             name: {
                 "share": [float(share[k]), *ends[k].tolist()],

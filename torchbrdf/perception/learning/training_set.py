@@ -1,4 +1,4 @@
-"""What a metric can learn from: the terms of distances, and how often people found which of two smaller."""
+"""What a metric can learn from: the features of distances, and how often people found which of two smaller."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, fields
@@ -36,24 +36,24 @@ class Judgments:
     def __len__(self) -> int:
         return len(self.first)
 
-    def select(self, keep: Tensor) -> "Judgments":
+    def select(self, index: Tensor) -> "Judgments":
         """Some of the judgments, by index or by mask."""
-        return Judgments(*(getattr(self, one.name)[keep] for one in fields(self)))
+        return Judgments(*(getattr(self, one.name)[index] for one in fields(self)))
 
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Training set: E distances, by their terms, and what people judged of them.
+    """Training set: E distances, by their features, and what people judged of them.
 
-    names: of K materials. terms: `(E, T)`, what the weights of `LearnedLoss` multiply. first, second: `(E,)`, places in
-    `EvaluatedBrdfs`: of the prediction, among its materials, or its approximations where `method` is at least 0, and
-    of the target. method: `(E,)`, places in `methods`, -1 for a distance of two materials. judgments: answers by part,
-    to learn from; statistics: comparisons by name, to count how many are ordered right.
+    names: of K materials. features: `(E, T)`, what the weights of `LearnedLoss` multiply. first, second: `(E,)`,
+    places in `EvaluatedBrdfs`: of the prediction, among its materials, or its approximations where `method` is at least
+    0, and of the target. method: `(E,)`, places in `methods`, -1 for a distance of two materials. judgments: answers by
+    part, to learn from; statistics: comparisons by name, to count how many are ordered right.
     """
 
     names: list[str]
     methods: list[str]
-    terms: Tensor
+    features: Tensor
     first: Tensor
     second: Tensor
     method: Tensor
@@ -61,11 +61,11 @@ class TrainingSet:
     statistics: dict[str, DistanceComparisons]
 
     def distances(self, weights: Tensor) -> Tensor:
-        """Distances under some weights: sqrt(terms . weights), `(E,)`; 1e-12 keeps the slope finite."""
-        return (self.terms @ weights + 1e-12).sqrt()
+        """Distances under some weights: sqrt(features . weights), `(E,)`; 1e-12 keeps the slope finite."""
+        return (self.features @ weights + 1e-12).sqrt()
 
 
-def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Collection[str] = ()) -> TrainingSet:
+def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Collection[str] = ()) -> TrainingSet:
     """Make a training set of triplets and opinions, without the opinions of some methods."""
     names, every = data.names, data.opinions
     kept = [row for row, method in enumerate(every.methods) if method not in leave_out]
@@ -74,7 +74,7 @@ def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Coll
         raise DataError("a training set: expected questions and opinions, found none")
     methods = sorted(set(opinions.methods))
     rows = torch.tensor(kept, dtype=torch.long)
-    target = seen.target[rows]
+    target = brdfs.target[rows]
     reference, a, b = triplets.questions.unbind(1)
     count = len(names)
     numbers, entry = torch.cat([_number(reference, x, count) for x in (a, b)]).unique(return_inverse=True)
@@ -90,7 +90,9 @@ def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Coll
     return TrainingSet(
         names,
         methods,
-        torch.cat([terms_of(seen, seen.materials, one, other), terms_of(seen, seen.approximations, rows, target)]),
+        torch.cat(
+            [features_of(brdfs, brdfs.materials, one, other), features_of(brdfs, brdfs.approximations, rows, target)]
+        ),
         torch.cat([one, rows]),
         torch.cat([other, target]),
         torch.tensor([-1] * between + own, dtype=torch.long),
@@ -101,11 +103,11 @@ def make_training_set(data: BenchmarkData, seen: EvaluatedBrdfs, leave_out: Coll
 
 
 def training_set_from_choices(
-    names: list[str], stimuli: list[str], seen: EvaluatedBrdfs, pairs: Tensor, votes: Tensor
+    names: list[str], stimuli: list[str], brdfs: EvaluatedBrdfs, pairs: Tensor, votes: Tensor
 ) -> TrainingSet:
     """Training set of observers' choices: which of two approximations they found closer to a material.
 
-    names: of the materials that `seen` has; stimuli: the name of each of its R approximations. pairs: places of two of
+    names: of the materials that `brdfs` has; stimuli: the name of each of its R approximations. pairs: places of two of
     these, `(C, 2)` long; votes: how many chose either, `(C, 2)`.
     """
     if not len(pairs):
@@ -114,7 +116,7 @@ def training_set_from_choices(
     rows = torch.arange(len(stimuli))
     first, second = pairs.unbind(1)
     cast = votes.double()
-    material = seen.target[first][:, None]
+    material = brdfs.target[first][:, None]
     swap = votes[:, 1] > votes[:, 0]
     decided = votes[:, 0] != votes[:, 1]
     near, far = torch.where(swap, second, first)[decided], torch.where(swap, first, second)[decided]
@@ -122,21 +124,21 @@ def training_set_from_choices(
     return TrainingSet(
         names,
         methods,
-        terms_of(seen, seen.approximations, rows, seen.target),
+        features_of(brdfs, brdfs.approximations, rows, brdfs.target),
         rows,
-        seen.target,
+        brdfs.target,
         torch.tensor([methods.index(name) for name in stimuli], dtype=torch.long),
         {"choices": Judgments(first, second, cast[:, 0] / cast.sum(1), cast.sum(1), material)},
         {"choices": DistanceComparisons(near, far, material[decided], *plain)},
     )
 
 
-def terms_of(seen: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor) -> Tensor:
-    """The terms of the distances of values `(R, n, 3)`, at these places, from materials, `(E, T)`, float64."""
-    if seen.pairs is None:
+def features_of(brdfs: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """The features of the distances of values `(R, n, 3)`, at these places, from materials, `(E, T)`, float64."""
+    if brdfs.pairs is None:
         raise UsageError("a training set: expected values on pairs")
-    one, other = encode(values, seen.pairs), encode(seen.materials, seen.pairs)
-    bins = soft_bins(seen.pairs).to(one)
+    one, other = encode(values, brdfs.pairs), encode(brdfs.materials, brdfs.pairs)
+    bins = soft_bins(brdfs.pairs).to(one)
     parts = zip(first.split(_HELD), second.split(_HELD), strict=True)
     found = [features(one[i] - other[j], bins).double() for i, j in parts]
     return torch.cat(found)
@@ -158,18 +160,18 @@ def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
         kind = torch.tensor([*(methods.index(name) for name in training_set.methods), -1])
         method.append(kind[training_set.method])
         for name, part in training_set.judgments.items():
-            moved = Judgments(part.first + start, part.second + start, part.share, part.count, place[part.materials])
-            judgments.setdefault(name, []).append(moved)
+            shifted = Judgments(part.first + start, part.second + start, part.share, part.count, place[part.materials])
+            judgments.setdefault(name, []).append(shifted)
         for name, own in training_set.statistics.items():
             there = DistanceComparisons(
                 own.nearer + start, own.farther + start, place[own.materials], own.weight, own.group
             )
             statistics.setdefault(name, []).append(there)
-        start += len(training_set.terms)
+        start += len(training_set.features)
     return TrainingSet(
         names,
         methods,
-        torch.cat([training_set.terms for training_set in training_sets]),
+        torch.cat([training_set.features for training_set in training_sets]),
         torch.cat([training_set.first for training_set in training_sets]),
         torch.cat([training_set.second for training_set in training_sets]),
         torch.cat(method),
@@ -193,8 +195,8 @@ def _number(one: Tensor, other: Tensor, count: int) -> Tensor:
 def _opined(opinions: Opinions, own: DistanceComparisons, target: Tensor, shift: int) -> Judgments:
     """Opinions as votes: how often such means would come out in this order."""
     error = opinions.standard_error
-    spread = (error[own.nearer].square() + error[own.farther].square() + UNKNOWN**2).sqrt()
-    share = torch.special.ndtr((opinions.distance[own.farther] - opinions.distance[own.nearer]) / spread)
+    standard_error = (error[own.nearer].square() + error[own.farther].square() + UNKNOWN**2).sqrt()
+    share = torch.special.ndtr((opinions.distance[own.farther] - opinions.distance[own.nearer]) / standard_error)
     materials = torch.stack([target[own.nearer], target[own.farther]], 1)
     return Judgments(own.nearer + shift, own.farther + shift, share, torch.ones_like(share), materials)
 

@@ -171,7 +171,7 @@ class Environment:
             over = share - under
             right_over, right_under = over * across, under * across
             shares += [over - right_over, right_over, under - right_under, right_under]
-        rows, weights = _beside(places, torch.int32), _beside(shares, torch.float32)
+        rows, weights = _stack_columns(places, torch.int32), _stack_columns(shares, torch.float32)
         found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
         return found.reshape(*directions.shape[:-1], 3)
 
@@ -194,10 +194,10 @@ class Environment:
         while nodes[0].shape[0] > 1:
             nodes.insert(0, _halved(nodes[0]))
             bright, moment = nodes[0][..., 3:4], nodes[0][..., 4:]
-            spread = bright - moment.square().sum(-1, keepdim=True) / bright.clamp_min(1e-300)
+            variance = bright - moment.square().sum(-1, keepdim=True) / bright.clamp_min(1e-300)
             # never less than a child's, in spite of rounding, so that no node is split before its parent
             largest = F.max_pool2d(gains[0].movedim(-1, 0), 2).movedim(0, -1)
-            gains.insert(0, torch.maximum(spread, largest))
+            gains.insert(0, torch.maximum(variance, largest))
         gain = torch.cat([level.flatten() for level in gains[:-1]])
         split = torch.zeros(sum(level.numel() for level in gains), dtype=torch.bool)
         split[gain.argsort(descending=True, stable=True)[: (count - 1) // 3]] = True
@@ -211,7 +211,7 @@ class Environment:
         return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
 
 
-def _beside(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
+def _stack_columns(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
     """Parts `(...)` as columns, `(N, k)`: what torch.stack does, in half the time."""
     whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype)
     for column, part in enumerate(parts):

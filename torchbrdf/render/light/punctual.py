@@ -138,10 +138,10 @@ def _triple(where: str, values: object) -> Triple:
 
 def _color(where: str, values: object) -> Triple:
     """Three numbers of at least 0, of three or of one."""
-    spread = (values,) * 3 if _is_finite(values) else values
-    if not isinstance(spread, Sequence) or len(spread) != 3 or not all(_is_finite(x) and x >= 0 for x in spread):
+    channels = (values,) * 3 if _is_finite(values) else values
+    if not isinstance(channels, Sequence) or len(channels) != 3 or not all(_is_finite(x) and x >= 0 for x in channels):
         raise UsageError(f"{where}: expected one or three finite numbers of at least 0, found {values!r}")
-    return _triple(where, spread)
+    return _triple(where, channels)
 
 
 def _is_finite(value: object) -> bool:

@@ -83,7 +83,7 @@ def _halves(points: np.ndarray, faces: np.ndarray, size: int) -> _Halves:
 
 def _pixels(halves: _Halves, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Face, pixel (row by row) and closeness of every pixel centre in every half, in parts."""
-    for part in _parts(halves.rows, _SPANS):
+    for part in _batches(halves.rows, _SPANS):
         half = np.repeat(part, halves.rows[part])
         step = _steps(halves.rows[part])
         left, left_by, near_left, near_left_by = halves.left[:, half]
@@ -97,7 +97,7 @@ def _pixels(halves: _Halves, size: int) -> Iterator[tuple[np.ndarray, np.ndarray
         span = np.flatnonzero(width > 0)
         pixel = ((halves.top[half] + step) * size + first.astype(np.int64))[span]
         face, start, slope, width = halves.face[half[span]], start[span], slope[span], width[span].astype(np.int64)
-        for some in _parts(width, _PIXELS):
+        for some in _batches(width, _PIXELS):
             count = width[some]
             step = _steps(count)
             near = np.repeat(start[some], count) + np.repeat(slope[some], count) * step
@@ -115,7 +115,7 @@ def _steps(counts: np.ndarray) -> np.ndarray:
     return np.arange(ends[-1]) - np.repeat(ends - counts, counts)
 
 
-def _parts(counts: np.ndarray, most: int) -> Iterator[np.ndarray]:
+def _batches(counts: np.ndarray, most: int) -> Iterator[np.ndarray]:
     """Indices of the counts, which are above 0, in parts that add up to about `most`."""
     total = np.cumsum(counts)
     last = int(total[-1]) if len(total) else 0

@@ -127,7 +127,7 @@ class Transport:
                     found[..., some] = found[..., some].index_add(1, block.rows, part)
         return found.permute(2, 0, 1)
 
-    def thinned(self, rows: Tensor) -> tuple["Transport", Tensor]:
+    def select_rows(self, rows: Tensor) -> tuple["Transport", Tensor]:
         """Only some rows, and only the pairs that these need: the new transport, and which of the pairs it keeps."""
         wanted = torch.full((len(self.index),), -1, dtype=torch.int64)
         wanted[rows] = torch.arange(len(rows))
