@@ -1,7 +1,7 @@
 """Fitting models to measured materials: objectives, strategies, scores, results."""
 
+from torchbrdf.fitting.api import SlowFitWarning, fit
 from torchbrdf.fitting.batches import Batches
-from torchbrdf.fitting.fit import SlowFitWarning, fit
 from torchbrdf.fitting.global_search import GlobalSearch
 from torchbrdf.fitting.result import FitResult, write_fits_csv
 from torchbrdf.fitting.sampling import stratified

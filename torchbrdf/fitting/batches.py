@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError
-from torchbrdf.fitting.fit import fit
+from torchbrdf.fitting.api import fit
 from torchbrdf.fitting.result import write_fits_csv
 from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.images import DIFFERENCES
