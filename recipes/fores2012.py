@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import ONLY, SHOWN_DIFFERENCES, FitGridRecipe, Pictures, load_materials, simulate_responses
-from torchbrdf.losses import LOSSES
+from torchbrdf.losses import LOSSES, make_loss
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, find_mesh
 from torchbrdf.report import write_grid_report
@@ -55,7 +55,7 @@ class Fores2012(FitGridRecipe):
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
         groups, bad = load_materials(self.materials, folder, self.quick)
-        losses = {LOSSES.canonical(name): LOSSES[name]() for name in self.losses}
+        losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
         grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)
         grid.fit()

@@ -6,7 +6,7 @@ from pathlib import Path
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import FitGridRecipe, Pictures, load_materials
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh
 from torchbrdf.report import write_images_report
@@ -63,7 +63,7 @@ class ImageVsAnalytic(FitGridRecipe):
         turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
         scenes = {TRAINING: Scene(mesh, Camera(), light, size=size), UNSEEN: Scene(*other, size=size)}
-        losses: dict[str, Loss] = {LOSSES.canonical(name): LOSSES[name]() for name in self.losses}
+        losses: dict[str, Loss] = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         grid = self.make_grid(folder, groups, losses, models=self.models[:1] if self.quick else self.models)
         pictures = Pictures(grid, scenes, self.differences, maps=True)
         pictures.draw_materials()

@@ -10,7 +10,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.metric_training import join_data, published_data, study_data, train_metric
 from torchbrdf.files import write_json, write_text
-from torchbrdf.losses import LOSSES
+from torchbrdf.losses import LOSSES, make_loss
 from torchbrdf.perception import uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
@@ -51,9 +51,9 @@ class TrainMetric(HumanAnswersRecipe):
             samples, repeats, iterations, replicates = 500, 2, 15, min(replicates, 100)
         pairs = uniform_pairs(samples, seed=self.seed).to(dtype=torch.float32)
         losses = {
-            name: kind(reduction="none")
-            for name, kind in LOSSES.items()
-            if kind.supports_subsampling and name != "learned"
+            name: loss
+            for name, loss in ((name, make_loss(name, "none")) for name in LOSSES)
+            if loss.supports_subsampling and name != "learned"
         }
         sources = []
         if self.human or (self.quick and not self.study):

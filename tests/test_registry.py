@@ -165,6 +165,26 @@ def test_a_broken_thing_says_why_when_asked_for(offered: Registry[str]) -> None:
         offered["gama"]
 
 
+def test_a_module_that_ends_python_and_bounds_that_cannot_be_are_said(offered: Registry[str], tmp_path: Path) -> None:
+    (tmp_path / "pack_of_things_exit.py").write_text("raise SystemExit(7)\n")
+    bounds = "BoundedParameter(start=0.1, lower=0.5, upper=0.2, doc='')"
+    (tmp_path / "pack_of_things_bounds.py").write_text(
+        f"from torchbrdf.lobes import BoundedParameter, Lobe\n\nclass Odd(Lobe):\n    width = {bounds}\n"
+    )
+    offer(tmp_path, "figs", eta="pack_of_things_exit:ETA", theta="pack_of_things_bounds:Odd")
+    importlib.invalidate_caches()
+    with pytest.raises(UsageError, match=r"'eta' of package figs cannot be loaded .* SystemExit: 7"):
+        offered["eta"]
+    with pytest.raises(UsageError, match=r"'theta' of package figs .* Odd.width: expected lower <= start"):
+        offered["theta"]
+
+
+def test_the_name_of_a_thing_is_found_without_loading_others(offered: Registry[str]) -> None:
+    assert offered.name_of(offered["alpha"]) == "alpha" and offered.name_of("NOTHING") is None
+    assert "pack_of_things_bad" not in sys.modules and "pack_of_things_more" not in sys.modules
+    assert offered.name_of(offered["gamma"]) == "gamma"
+
+
 def test_what_the_package_brings() -> None:
     assert {"lambert", "ward", "cook_torrance", "ashikhmin_shirley", "distribution_based"} <= set(LOBES)
     assert {"rms", "cosine_rms", "cube_root", "compressed", "log", "solid_angle_cosine_rms"} <= set(LOSSES)

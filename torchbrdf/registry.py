@@ -122,6 +122,25 @@ class Registry(Mapping[str, T], Generic[T]):
         """
         return name if name in self._own() else self._aliases.get(name, name)
 
+    def name_of(self, thing: object) -> str | None:
+        """The name that a thing is registered or offered under, without loading any other.
+
+        Args:
+            thing: a class, function or object.
+
+        Returns:
+            The name; None if it has none.
+
+        Example:
+            >>> from torchbrdf.lobes import LOBES, Ward
+            >>> LOBES.name_of(Ward), LOBES.name_of(print)
+            ('ward', None)
+        """
+        for name, own in self._own().items():
+            if own is thing:
+                return name
+        return next((name for name, offer in self._offered().items() if _loaded(offer) is thing), None)
+
     def _own(self) -> dict[str, T]:
         """What the package's modules register, and what has been loaded of other packages."""
         if not self._complete:
@@ -163,8 +182,9 @@ class Registry(Mapping[str, T], Generic[T]):
             offer = self._offered()[name]
             try:
                 thing = offer.load()
-            except Exception as error:  # whatever other people's code raises
-                reason = " ".join(f"{type(error).__name__}: {error}".split())
+            except (Exception, SystemExit) as error:  # whatever other people's code raises
+                inner = error.__cause__ if str(error).startswith("Error calling __set_name__") else None
+                reason = " ".join(f"{type(inner or error).__name__}: {inner or error}".split())
                 where = f"{self.kind} {name!r} of package {_package(offer)}"
                 self._broken[name] = UsageError(f"{where} cannot be loaded from {offer.value}: {reason}")
                 self._broken[name].__cause__ = error

@@ -152,6 +152,18 @@ def test_scores_are_the_losses_on_all_pairs():
         torch.testing.assert_close(found[k], loss(model(measured.pairs), measured.values, measured.pairs).detach())
 
 
+def test_what_a_strategy_gives_back_and_seeds_are_checked():
+    measured = measured_from(TRUTHS["ward"].double())
+    with pytest.raises(UsageError, match="strategy lost: expected an Outcome from it, found dict"):
+        fit(make_model("ward", 1), measured, RMSLoss(), strategy=lost)
+    with pytest.raises(UsageError, match="seed: expected an integer of 64 bits"):
+        fit(make_model("ward", 1), measured, RMSLoss(), seed=10**30)
+
+
+def lost(task, values, fit_diffuse):
+    return values
+
+
 def test_local_minima_are_found_by_the_papers_test():
     cross = torch.tensor([[[1.0], [0.5]], [[3.0], [2.0]]])  # [metric, fitted under, material]
     assert local_minima(cross).tolist() == [[True], [False]]

@@ -10,7 +10,7 @@ from torch import nn
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.fitting import Batches, SlowFitWarning, fit, score
 from torchbrdf.lobes import Lambert, Sum, Ward, make_model
-from torchbrdf.losses import CosineRMSLoss, FunctionLoss, LearnedLoss, Loss, RMSLoss, as_loss
+from torchbrdf.losses import LOSSES, CosineRMSLoss, FunctionLoss, LearnedLoss, Loss, RMSLoss, as_loss, make_loss
 from torchbrdf.measured import Measured
 
 TRUTH = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=[0.2, 0.25, 0.3], roughness=0.15)).double()
@@ -120,7 +120,7 @@ def test_a_fit_finds_what_values_were_made_with(name):
 
 @pytest.mark.parametrize("loss", POINTWISE, ids=lambda loss: type(loss).__name__)
 def test_without_closed_derivatives_a_mean_of_penalties_still_has_curvature(loss):
-    assert loss.separable and not loss.has_closed_derivatives
+    assert loss.is_separable() and not loss.has_closed_derivatives
     with pytest.warns(SlowFitWarning):
         result = fit(make_model("ward", 1), measured_from(TRUTH, some_pairs(600)), loss, samples=None)
     assert "7 starts" in result.history[0].name and str(result.status[0]) == "converged"
@@ -149,6 +149,41 @@ def test_a_database_under_a_function(tmp_path):
         assert Batches(make_model("ward", 1), nn.MSELoss(), out=tmp_path, samples=None).done
 
 
+class Mistyped(Loss):
+    def encode(self, values, pairs):
+        return values * pairs.cos_x
+
+
+class Reducing(Loss):
+    def encode(self, values, pairs):
+        return values.mean(-1)
+
+
+def test_a_mistake_within_encode_is_said_as_it_is():
+    measured = measured_from(TRUTH, some_pairs(300))
+    with pytest.raises(AttributeError, match="cos_x"):
+        fit(make_model("ward", 1), measured, Mistyped(), samples=None)
+
+
+def test_encode_gives_a_value_for_each_value():
+    values = torch.rand(2, 5, 3)
+    with pytest.raises(
+        ShapeError, match=r"Reducing: expected a value for each of values \(2, 5, 3\) .* found \(2, 5\)"
+    ):
+        Reducing()(values, values)
+
+
+def test_what_is_registered_may_be_a_class_an_instance_or_a_function(monkeypatch):
+    one, other = torch.rand(2, 5, 3), torch.rand(2, 5, 3)
+    offers = {"kind": L1Loss, "module": nn.L1Loss, "instance": nn.L1Loss(), "function": nn.functional.l1_loss}
+    monkeypatch.setattr(LOSSES, "_things", {**dict(LOSSES.items()), **offers})
+    expected = (one - other).abs().double().mean((1, 2))
+    torch.testing.assert_close(make_loss("kind", "none")(one, other).double() ** 2, expected, rtol=1e-5, atol=0)
+    for name in ("module", "instance", "function"):
+        torch.testing.assert_close(make_loss(name, "none")(one, other).double(), expected, rtol=1e-5, atol=0)
+    assert make_loss("kind").registered_name == "kind"
+
+
 class NoGradient(nn.Module):
     def forward(self, prediction, target):
         return (prediction.detach() - target).square().mean()
@@ -161,6 +196,11 @@ class NoGradient(nn.Module):
         (lambda p: p.mean(), UsageError, "loss <lambda>: expected a function of .prediction, target.: too many"),
         (lambda p, t: 1.0, ShapeError, "<lambda>: expected a tensor from .prediction, target., found float"),
         (lambda p, t: p.mean(1), ShapeError, r"<lambda>: expected a scalar, .* \(1, 300, 3\), found \(1, 3\)"),
+        (
+            nn.MSELoss,
+            UsageError,
+            r"loss: expected an instance or a function, found the class MSELoss; write MSELoss",
+        ),
         (NoGradient(), UsageError, "NoGradient: no gradient: it does not use the prediction"),
         (Loss(), NotImplementedError, "Loss: expected a method encode, error or forward, found none of them"),
     ],

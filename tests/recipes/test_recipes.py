@@ -128,6 +128,12 @@ QUICK = {
 }
 
 
+def test_an_unknown_name_is_said_before_a_folder_is_written():
+    for settings in ({"losses": ("nope",)}, {"models": ("nope",)}, {"strategy": "nope"}):
+        with pytest.raises(UsageError, match=r"unknown .* 'nope'"):
+            find_recipe("fores2012")(**settings)
+
+
 @pytest.mark.slow  # the study below is a small one that always runs
 @pytest.mark.parametrize("name", list(RECIPES))
 def test_every_recipe_runs_in_its_quick_form(name, tmp_path):

@@ -3,6 +3,7 @@
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from torchbrdf import __version__
@@ -29,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
     options = build_parser().parse_args(arguments)
+    warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
     try:
         return int(options.command(options))
     except UsageError as error:

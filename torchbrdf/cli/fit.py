@@ -91,12 +91,12 @@ def command(options: Options) -> int:
 
 def _loss(options: Options) -> "Loss":
     """A loss by name, or pictures of the scene that the options describe."""
-    from torchbrdf.losses import LOSSES
+    from torchbrdf.losses import LOSSES, make_loss
 
     if options.loss != RENDERED:
         if options.loss not in LOSSES:
             raise unknown("loss", options.loss, [*LOSSES, RENDERED])
-        return LOSSES[options.loss]()
+        return make_loss(options.loss)
     from torchbrdf.images import DIFFERENCES
     from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh
 

@@ -10,7 +10,7 @@ import torch
 
 from torchbrdf.errors import TorchbrdfError
 from torchbrdf.files import replacing, write_csv, write_json
-from torchbrdf.losses import LOSSES, Loss
+from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import (
     BenchmarkData,
@@ -49,9 +49,8 @@ class Benchmark:
         """Distances of registered losses between values at some pairs."""
         losses: dict[str, Loss] = {}
         for name in map(LOSSES.canonical, names):
-            kind = LOSSES[name]
             try:
-                losses[name] = kind(reduction="none")
+                losses[name] = make_loss(name, "none")
             except TorchbrdfError as error:
                 self._leave_out(name, error)
         self._score(losses, lambda: evaluate_brdfs(self.data, pairs))

@@ -2,14 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.grid import FitGrid
-from torchbrdf.losses import Loss
+from torchbrdf.fitting import STRATEGIES
+from torchbrdf.lobes import LOBES
+from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.measured import Measured, load_all, standins
 from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
 from torchbrdf.recipe import Recipe, RunFolder
+from torchbrdf.registry import Registry
 
 STANDINS = "stand-ins"
 # Pairs that the solver sees at most in a quick run.
@@ -31,6 +35,14 @@ class FitGridRecipe(Recipe):
 
     def __post_init__(self) -> None:
         self.expect_names("models", "losses")
+        registries: list[tuple[Registry[Any], tuple[str, ...]]] = [
+            (LOBES, self.models),
+            (LOSSES, self.losses),
+            (STRATEGIES, (self.strategy,)),
+        ]
+        for registry, names in registries:
+            for name in names:
+                registry[name]  # an unknown one is said before a folder is written
         if self.lobes < 1:
             raise UsageError(f"{self.name}: lobes: expected at least 1, found {self.lobes}")
         check_max_theta(self.max_theta)

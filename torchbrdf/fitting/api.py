@@ -88,6 +88,8 @@ def fit(
     """
     if diffuse not in DIFFUSE_MODES:
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {diffuse!r}")
+    if not -(2**63) <= seed < 2**63:
+        raise UsageError(f"seed: expected an integer of 64 bits, found {seed}")
     if samples is not None and samples < 1:
         raise UsageError(f"samples: expected at least 1, found {samples}")
     if not len(measured):
@@ -124,6 +126,9 @@ def fit(
             some = whole.select(samples=subset.to(measured.device))
             task = Task(part, make_objective(part, some, loss), full, max_iterations)
         outcome = run(task, values, diffuse == "fit")
+        if not isinstance(outcome, Outcome):
+            found = type(outcome).__name__
+            raise UsageError(f"strategy {strategy_name(strategy)}: expected an Outcome from it, found {found}")
         fitted = with_parameters(part, outcome.values)
         subset_error = errors([fitted], task.objective.problem, [loss])[0, 0]
         error = subset_error if subset is None else errors([fitted], whole, [loss])[0, 0]

@@ -97,7 +97,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
         fitted = [
             with_parameters(model, take_materials(values, rows)) for model, values in zip(models, own, strict=True)
         ]
-        separable = [loss for loss in losses if loss.separable]
+        separable = [loss for loss in losses if loss.is_separable()]
         found = {}
         if separable:
             problem = separable[0].problem(part)
@@ -113,7 +113,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:
     """The errors of batched models under some losses, `(L, K, M)`, float64, on the CPU."""
     pairs, target, weight = problem.pairs, problem.target, problem.weight
-    if not all(loss.separable for loss in losses):
+    if not all(loss.is_separable() for loss in losses):
         found = [[loss.error(model(pairs), target, pairs, weight).double() for model in models] for loss in losses]
         return torch.stack([torch.stack(row) for row in found]).cpu()
     sums = torch.zeros(len(losses), len(models), len(target), dtype=torch.float64, device=target.device)

@@ -64,7 +64,7 @@ def model_name(model: Lobe) -> tuple[str, int]:
         shown = " + ".join(type(component).__name__ for component in model.components())
         raise UsageError(f"model: expected Lambert plus lobes of one kind, found {shown}")
     kind = kinds.pop()
-    name = next((name for name, lobe in LOBES.items() if lobe is kind), None)
+    name = LOBES.name_of(kind)
     if name is None:
         raise UsageError(f"model: expected lobes of a registered kind, found {kind.__name__}")
     return name, len(rest)

@@ -6,7 +6,7 @@ from torchbrdf.losses.binned import BinAssignment, BinnedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
-from torchbrdf.losses.function import FunctionLoss, as_loss
+from torchbrdf.losses.function import FunctionLoss, as_loss, make_loss
 from torchbrdf.losses.image import ImageLoss
 from torchbrdf.losses.learned import LearnedLoss
 from torchbrdf.losses.log import LogLoss
@@ -31,4 +31,5 @@ __all__ = [
     "SolidAngleCosineRMSLoss",
     "as_loss",
     "functional",
+    "make_loss",
 ]

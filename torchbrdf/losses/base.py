@@ -91,7 +91,7 @@ class Loss(nn.Module):
     @property
     def registered_name(self) -> str:
         """The name it is registered under; its class's, if it is not."""
-        return next((name for name, kind in LOSSES.items() if type(self) is kind), type(self).__name__)
+        return LOSSES.name_of(type(self)) or type(self).__name__
 
     @property
     def has_closed_derivatives(self) -> bool:
@@ -101,18 +101,17 @@ class Loss(nn.Module):
         closed_penalty = squares or kind.penalty_with_derivatives is not Loss.penalty_with_derivatives
         return closed_penalty and kind.encode_with_derivative is not Loss.encode_with_derivative
 
-    @property
-    def elementwise(self) -> bool:
+    def is_elementwise(self) -> bool:
         """Whether `encode` and `penalty` are functions of one value at a time.
 
-        Taken on trust of closed derivatives, else tried on a few values.
+        Taken on trust of closed derivatives, else tried on a few values. No property: `nn.Module` hides an
+        AttributeError that is raised within one.
         """
         return self.has_closed_derivatives or derivatives.elementwise(self)
 
-    @property
-    def separable(self) -> bool:
+    def is_separable(self) -> bool:
         """Whether the error is a mean over pairs of penalties, so that parts of the pairs can be summed apart."""
-        return self.objective == "pointwise" and self.elementwise
+        return self.objective == "pointwise" and self.is_elementwise()
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """What is compared of each value, `(..., N, C)`."""
@@ -179,7 +178,11 @@ class Loss(nn.Module):
         """
         self._check(prediction, target, pairs, weight)
         prediction, target, pairs = self._widened(prediction, target, pairs)
-        found = weighted_mean(self.pointwise(prediction, target, pairs), self.effective_weight(pairs, weight))
+        penalties = self.pointwise(prediction, target, pairs)
+        if penalties.shape[-2:] != torch.broadcast_shapes(prediction.shape[-2:], target.shape[-2:]):
+            expected = f"expected a value for each of values {(*prediction.shape,)} from encode and penalty"
+            raise ShapeError(f"{type(self).__name__}: {expected}, found {(*penalties.shape,)}")
+        found = weighted_mean(penalties, self.effective_weight(pairs, weight))
         return self.finalize(found)
 
     def forward(

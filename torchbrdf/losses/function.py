@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
-from torchbrdf.losses.base import Loss, Reduction
+from torchbrdf.losses.base import LOSSES, Loss, Reduction
 from torchbrdf.pairs import Pairs
 
 
@@ -39,6 +39,9 @@ class FunctionLoss(Loss):
 
     def __init__(self, function: Callable[..., Tensor], reduction: Reduction = "mean") -> None:
         super().__init__(reduction)
+        if isinstance(function, type):
+            name = function.__name__
+            raise UsageError(f"loss: expected an instance or a function, found the class {name}; write {name}()")
         if not callable(function):
             kind = type(function).__name__
             raise UsageError(f"loss: expected a Loss, a module or a function of (prediction, target), found {kind}")
@@ -117,6 +120,31 @@ def as_loss(loss: Any) -> Loss:
         kind = type(loss)
         return loss if kind.forward is Loss.forward or kind.error is not Loss.error else FunctionLoss(loss)
     return FunctionLoss(loss)
+
+
+def make_loss(name: str, reduction: Reduction = "mean") -> Loss:
+    """A registered loss by name, with its defaults: a class, an instance or a function of (prediction, target).
+
+    Args:
+        name: as in `LOSSES`.
+        reduction: as of `Loss`.
+
+    Returns:
+        The loss, or a `FunctionLoss` of what is registered.
+
+    Raises:
+        UsageError: for an unknown name, or for what is registered but is no loss.
+
+    Example:
+        >>> make_loss("cosine_rms", "none")
+        CosineRMSLoss(reduction='none')
+    """
+    found: Any = LOSSES[name]
+    if isinstance(found, type) and issubclass(found, Loss):
+        found = found() if reduction == "mean" else found(reduction=reduction)
+    if isinstance(found, Loss):
+        return found
+    return FunctionLoss(found() if isinstance(found, type) else found, reduction)
 
 
 def _options(function: Any) -> set[str]:

@@ -317,7 +317,12 @@ class Measured:
         values = torch.empty(*shape, 3, dtype=self.dtype, device=self.device)
         weight = torch.empty(*shape, 1, dtype=self.dtype, device=self.device)
         for row, material in enumerate(self.materials):  # one at a time, so that only one is ever held in float64
-            values[row], weight[row] = (part[0] for part in self.source.read([material], samples))
+            read = self.source.read([material], samples)
+            for part, found, expected in zip(("values", "weights"), read, (values, weight), strict=True):
+                if found.shape != (1, *expected.shape[1:]):
+                    where = f"{type(self.source).__name__}.read: {self.source.names[material]}: {part}"
+                    raise ShapeError(f"{where}: expected {(1, *expected.shape[1:])}, found {(*found.shape,)}")
+                expected[row] = found[0]
         if self.max_theta < 90 and self.source.pairs.shape[0] > 1:
             high = ~self._low(self.source.pairs.select(self.materials, self.samples), self.max_theta).to(self.device)
             values.masked_fill_(high[..., None], 0)

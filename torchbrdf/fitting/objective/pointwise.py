@@ -101,7 +101,7 @@ class PointwiseObjective(GaussNewtonObjective):
     @staticmethod
     def applies(loss: Loss) -> bool:
         """Whether the loss works on one value at a time."""
-        return loss.elementwise
+        return loss.is_elementwise()
 
     @cached_property
     def encoded(self) -> EncodedProblem:

@@ -60,7 +60,7 @@ class Difference(nn.Module):
     @property
     def registered_name(self) -> str:
         """The name it is registered under; its class's, if it is not."""
-        return next((name for name, kind in DIFFERENCES.items() if type(self) is kind), type(self).__name__)
+        return DIFFERENCES.name_of(type(self)) or type(self).__name__
 
     def forward(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
         """The difference of every picture from its reference; without a pixel that counts, nan.
