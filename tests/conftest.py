@@ -5,6 +5,8 @@ from pathlib import Path
 
 # Before torch is imported: its threads spin while they wait, and make a machine with other work crawl.
 os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+if "PYTEST_XDIST_WORKER" in os.environ:  # a process a core: threads of torch beside it only get in the way
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings

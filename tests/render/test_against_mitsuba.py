@@ -96,14 +96,18 @@ def check(found: Likeness) -> None:
     assert found.ratio == pytest.approx(1, abs=5e-3), found
 
 
-@pytest.mark.parametrize("material", ["diffuse", "rough", "glossy", "table"])
+def slow(*values: str) -> object:
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("material", [slow("diffuse"), slow("rough"), slow("glossy"), "table"])
 def test_a_sphere_as_mitsuba_draws_it(material: str, merl: Path) -> None:
     check(compared("sphere", False, material, merl))
 
 
 @pytest.mark.parametrize(
     ("shape", "material"),
-    [("blob", "diffuse"), ("blob", "rough"), ("blob", "glossy"), ("blob", "table"), ("two spheres", "diffuse")],
+    [*(slow("blob", name) for name in ("diffuse", "rough", "glossy", "table")), ("two spheres", "diffuse")],
 )
 def test_shadows_as_mitsuba_draws_them(shape: str, material: str, merl: Path) -> None:
     pytest.importorskip("embreex", reason="shadows need embreex: pip install torchbrdf[shadows]")
@@ -120,7 +124,7 @@ def test_shadows_are_seen(merl: Path) -> None:
     [DirectionalLight((0.5, 1.0, 0.4), (3.0, 2.0, 1.0)), PointLight((-1.5, 1.5, 2.5), (1.0, 2.0, 3.0))],
     ids=["directional", "point"],
 )
-@pytest.mark.parametrize("material", ["diffuse", "glossy", "table"])
+@pytest.mark.parametrize("material", [slow("diffuse"), "glossy", slow("table")])
 def test_punctual_lights_as_mitsuba_draws_them(material: str, light: PunctualLight, merl: Path) -> None:
     """One direction a pixel: nothing is left to chance, and nothing to a quadrature."""
     pytest.importorskip("embreex", reason="shadows need embreex: pip install torchbrdf[shadows]")
