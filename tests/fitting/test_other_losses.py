@@ -159,6 +159,7 @@ class Reducing(Loss):
         return values.mean(-1)
 
 
+@pytest.mark.filterwarnings("ignore::torchbrdf.fitting.SlowFitWarning")
 def test_a_mistake_within_encode_is_said_as_it_is():
     measured = measured_from(TRUTH, some_pairs(300))
     with pytest.raises(AttributeError, match="cos_x"):

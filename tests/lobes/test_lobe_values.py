@@ -159,7 +159,7 @@ def mp(x: Any) -> Any:
 
 @pytest.mark.parametrize("name", EXACT)
 @given(data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_closed_form(name: str, data: st.DataObject) -> None:
     """1e-12 relative, at any directions and in the highlight of the sharpest lobes."""
     theta_h = data.draw(st.one_of(st.floats(0, 1.5), decades(1e-6, 0.5)), "theta_h")

@@ -88,6 +88,7 @@ def test_at_checks_what_it_is_given(felts, samples):
         samples.at(pairs)
 
 
+@pytest.mark.slow
 def test_hundred_tables_cost_little_memory(merl_file, tmp_path):
     for k in range(100):
         os.link(merl_file, tmp_path / f"table{k:03}.binary")

@@ -232,6 +232,7 @@ def test_they_come_close_to_the_materials(name: str, file: Path, published: dict
             assert (found < error(diffuse + factor * specular)).double().mean() > 0.7
 
 
+@pytest.mark.slow
 def test_shifted_gamma_is_fitted() -> None:
     """By the general solver, from its start, in values of another model: better than Ward, which has no such tails."""
     measured = stand_ins().batch([0])

@@ -311,6 +311,7 @@ def studied(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_ones_own_study_trains_a_metric(studied: Path, tmp_path: Path) -> None:
     options = {"study": str(studied), "answers": str(studied / "answers.csv"), "samples": "400", "repeats": "2"}
     run(recipe(**options, iterations="8", replicates="20"), tmp_path / "own")

@@ -209,6 +209,7 @@ def test_the_plan_of_a_study_is_served_as_it_is(study):
                 assert stimulus.outlier == record["outlier"]
 
 
+@pytest.mark.slow
 def test_a_recipe_can_say_other_words_and_screen(tmp_path):
     fores2012 = RECIPES["fores2012"]
 

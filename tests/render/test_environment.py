@@ -241,6 +241,7 @@ def test_what_is_no_environment_at_all(tmp_path: Path, evening: Environment) -> 
         evening.light_samples(3)
 
 
+@pytest.mark.slow
 def test_the_default_is_the_generators(grove: Environment) -> None:
     made = make_grove()
     kept = read_image(Path(__file__).parents[2] / "assets" / "grove.exr")
@@ -250,6 +251,7 @@ def test_the_default_is_the_generators(grove: Environment) -> None:
     torch.testing.assert_close(grove.texels, Environment.from_image(kept).texels)
 
 
+@pytest.mark.slow
 def test_the_grove_has_natural_statistics() -> None:
     """The power of log luminance along the horizon falls about as frequency^-2 (amplitude 1 / f)."""
     rows = luminance(make_grove(128)).log()[40:62]

@@ -41,7 +41,9 @@ def bunny(data: Path) -> Mesh:
 
 
 @pytest.mark.usefixtures("gl")
-@pytest.mark.parametrize("camera", [Camera(15.0), Camera(-60.0, 60.0, elevation=40.0, distance=1.2)])
+@pytest.mark.parametrize(
+    "camera", [pytest.param(Camera(15.0), marks=pytest.mark.slow), Camera(-60.0, 60.0, elevation=40.0, distance=1.2)]
+)
 @pytest.mark.parametrize("shape", [sphere, blob, soup, lambda: soup(3000, 1), bunny])
 def test_both_see_the_same_but_at_edges(
     shape: Callable[..., Mesh], camera: Camera, request: pytest.FixtureRequest

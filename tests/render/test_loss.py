@@ -117,8 +117,9 @@ def test_the_majorizer_touches_the_loss(small: Scene, name: str) -> None:
         assert (loss.compare(first + step, target) <= above * (1 + 1e-3)).all()
 
 
-@pytest.mark.parametrize("name", ["delta_e76", "log_hdr", "ssim"])
-@pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("delta_e76", "ward"), ("log_hdr", "cook_torrance"), ("ssim", "cook_torrance")]
+)
 def test_derivatives_by_responses_are_those_of_the_graph(small: Scene, name: str, kind: str) -> None:
     loss = RenderedLoss(small, name)
     model = make_model(kind, 2, dtype=torch.float64).batched(2)
@@ -156,7 +157,7 @@ def test_derivatives_by_responses_are_those_of_the_graph(small: Scene, name: str
 @pytest.mark.parametrize(
     ("strategy", "name"), [("global", "delta_e76"), ("global", "log_hdr"), ("global", "ssim"), ("staged", "psnr")]
 )
-@pytest.mark.parametrize("kind", ["ward", "cook_torrance"])
+@pytest.mark.parametrize("kind", ["ward", pytest.param("cook_torrance", marks=pytest.mark.slow)])
 def test_a_fit_finds_what_was_drawn(small: Scene, strategy: str, name: str, kind: str) -> None:
     """One lobe, so that there is one truth, and its albedo scalar, so that the staged procedure can reach it."""
     lobes = {

@@ -140,7 +140,7 @@ def test_triangles_without_area_on_the_screen_do_no_harm(backend: str) -> None:
     assert set(np.unique(seen.triangle)) == {-1, 0}
 
 
-@pytest.mark.parametrize("camera", [Camera(0), Camera(100), Camera(-250), Camera(40, 60, elevation=89)])
+@pytest.mark.parametrize("camera", [Camera(-250), Camera(40, 60, elevation=89)])
 @pytest.mark.parametrize("shape", [blob, sphere])
 def test_every_view_fits_the_object(shape: Callable[[], Mesh], camera: Camera, backend: str) -> None:
     mask = rasterize(shape(), camera, 100, backend).mask
@@ -201,6 +201,7 @@ def test_from_next_to_the_object_and_from_afar_there_is_a_picture(backend: str, 
         np.testing.assert_allclose(seen.position[50, 50], [0, 0, 1], atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_million_triangles_are_seen_within_bounded_memory(backend: str) -> None:
     outer = sphere(8)
     inner = len(outer.vertices)
