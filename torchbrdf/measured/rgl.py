@@ -46,7 +46,8 @@ class RglFile:
         theta = file.array("theta_i", [None])
         size = len(theta)
         if size < 2 or not (theta[0] >= 0 and theta[-1] < math.pi / 2 + 1e-6 and (np.diff(theta) > 0).all()):
-            raise DataError(f"{path}: theta_i: expected angles that grow from 0 to pi/2, found {theta[:16]}")
+            found = ", ".join(f"{angle:.4g}" for angle in theta[:8].tolist()) + (", ..." if size > 8 else "")
+            raise DataError(f"{path}: theta_i: expected angles that grow from 0 to pi/2, found {found}")
         density = self._density(file, "vndf", [1, size, None, None])[0]
         spectrum = file.array("rgb", [1, size, 3, None, None])[0]
         if min(spectrum.shape[2:]) < 2:
