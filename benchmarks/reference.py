@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from common import MODELS, lobes_of, losses, scipy_fit
 
-from torchbrdf.files import write_text
+from torchbrdf.files import write_json
 from torchbrdf.fitting import fit, stratified
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.lobes import make_model
@@ -69,7 +69,7 @@ def main(folder, path="reference.json"):
                 errors[key] = {"staged": float(f"{one:.5g}"), "random": float(f"{other:.5g}")}
             about = f"{STARTS} starts, best {FINISHED} finished, {SAMPLES} pairs, seed {SEED}"
             record = {"command": "python benchmarks/reference.py MERL/", "about": about, "errors": errors}
-            write_text(path, json.dumps(record, indent=1) + "\n")
+            write_json(path, record)
             print(name, metric, flush=True)
 
 

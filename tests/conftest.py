@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before torch is imported: its threads spin while they wait, and make a machine with other work crawl.
@@ -9,6 +10,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # a process a core: threads of torch be
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
+import torch
 from hypothesis import settings
 
 settings.register_profile("torchbrdf", deadline=None)
@@ -31,3 +33,12 @@ def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from helpers.measured_files import synthetic_raw, write_raw_merl
 
     return write_raw_merl(tmp_path_factory.mktemp("merl") / "made-up.binary", synthetic_raw(0))
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Torch has two threads, which workers then share out."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)

@@ -13,14 +13,6 @@ from torchbrdf.errors import DataError
 from torchbrdf.parallel import process_map, thread_map
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def fails_deep_inside(k: int) -> int:
     if k == 1:
         raise DataError("material 1 is odd")

@@ -137,7 +137,7 @@ class Registry(Mapping[str, T], Generic[T]):
             ('ward', None)
         """
         for name, own in self._own().items():
-            if own is thing:
+            if own == thing:
                 return name
         return next((name for name, offer in self._offered().items() if _loaded(offer) is thing), None)
 

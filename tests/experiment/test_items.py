@@ -2,9 +2,10 @@
 
 import pytest
 
-from torchbrdf.experiment.items import distinct, distinct_stems, list_items
+from torchbrdf.experiment.items import distinct_stems, list_items
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
+from torchbrdf.measured.load import number_repeats
 
 DULL = parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4)))
 
@@ -29,7 +30,7 @@ def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
 
 
 def test_labels_are_told_apart_by_numbers():
-    assert distinct(["x", "y", "x", "x"]) == ["x", "y", "x #2", "x #3"]
+    assert number_repeats(["x", "y", "x", "x"], " #") == ["x", "y", "x #2", "x #3"]
 
 
 @pytest.mark.parametrize(

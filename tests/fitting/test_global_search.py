@@ -285,14 +285,6 @@ def test_fits_of_before_are_known_by_the_names_that_image_differences_had(tmp_pa
 # --- processes ----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def test_processes_find_what_threads_find(two_threads, monkeypatch):
     measured = measured_from(two_lobes("ward", 4), some_pairs(600), materials=4)
     results = []

@@ -30,8 +30,8 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf view`."""
-    from torchbrdf.experiment.items import distinct
     from torchbrdf.files import writable
+    from torchbrdf.measured.load import number_repeats
     from torchbrdf.render import Environment, find_mesh
     from torchbrdf.report.viewer import write_viewer
 
@@ -39,7 +39,7 @@ def command(options: Options) -> int:
     writable(out.parent)
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
-    names = distinct([Path(name).stem for name in options.environment])
+    names = number_repeats([Path(name).stem for name in options.environment], " #")
     groups, complete = load_files(options.files)
     if not groups:
         return 1

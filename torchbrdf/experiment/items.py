@@ -1,13 +1,13 @@
 """What files hold to be looked at: materials and their fits, with labels, file names, and who is a fit of whom."""
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.measured import Measured, StandIn
+from torchbrdf.measured.load import number_repeats
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def list_items(groups: Sequence[Measured], reserved: Sequence[str] = ()) -> list
     references: dict[str, int] = {}
     for kind in ("stand-in", "measured"):  # so that a measured one takes its stand-in's place
         references |= {item.material: k for k, item in reversed(list(enumerate(items))) if item.kind == kind}
-    labels = distinct([item.label for item in items])
+    labels = number_repeats([item.label for item in items], " #")
     there = {item.material for item in items if item.kind == "measured"}
     wanted = [
         f"{item.stem}-stand-in" if item.kind == "stand-in" and item.material in there else item.stem for item in items
@@ -55,16 +55,6 @@ def list_items(groups: Sequence[Measured], reserved: Sequence[str] = ()) -> list
         replace(item, label=label, stem=stem, reference=references.get(item.material) if item.kind == "fit" else None)
         for item, label, stem in zip(items, labels, stems, strict=True)
     ]
-
-
-def distinct(names: Sequence[str]) -> list[str]:
-    """The names, those that came before with a number behind."""
-    seen: Counter[str] = Counter()
-    made = []
-    for name in names:
-        seen[name] += 1
-        made.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
-    return made
 
 
 def distinct_stems(names: Sequence[str], reserved: Sequence[str] = ()) -> list[str]:

@@ -62,5 +62,4 @@ def strategy_name(strategy: str | Strategy) -> str:
     """The name that a strategy is registered under; of another one, what it calls itself."""
     if isinstance(strategy, str):
         return STRATEGIES.canonical(strategy)
-    own = getattr(strategy, "__name__", repr(strategy))
-    return next((name for name, one in STRATEGIES.items() if one == strategy), own)
+    return STRATEGIES.name_of(strategy) or str(getattr(strategy, "__name__", repr(strategy)))

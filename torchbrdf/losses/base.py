@@ -2,15 +2,16 @@
 
 import inspect
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 
 LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
@@ -19,7 +20,6 @@ LOSSES.alias("cosine", "cosine_rms")
 LOSSES.alias("cuberoot", "cube_root")
 LOSSES.alias("solid_angle_cosine", "solid_angle_cosine_rms")
 
-Reduction = Literal["none", "mean", "sum"]
 HALVES = (torch.float16, torch.bfloat16)
 
 
@@ -84,8 +84,7 @@ class Loss(nn.Module):
 
     def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__()
-        if reduction not in ("none", "mean", "sum"):
-            raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
+        check_reduction(self, reduction)
         self.reduction = reduction
 
     @property
@@ -245,13 +244,6 @@ class Loss(nn.Module):
             samples, channels = (1, 1, *weight.shape)[-2:]
             if samples not in (1, target.shape[-2]) or channels not in (1, target.shape[-1]):
                 raise ShapeError(f"{name}: weights {(*weight.shape,)} do not broadcast to values {(*target.shape,)}")
-
-
-def reduced(error: Tensor, reduction: Reduction) -> Tensor:
-    """The errors of materials, their mean or their sum."""
-    if reduction == "none":
-        return error
-    return error.mean() if reduction == "mean" else error.sum()
 
 
 def cosine(pairs: Pairs | None) -> Tensor:

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.losses.base import Loss, Reduction, safe_sqrt, version
+from torchbrdf.losses.base import Loss, safe_sqrt, version
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 # A bin that holds less than this share of the pairs fades instead of saying much about little.
 SHRINKAGE = 1e-3

@@ -5,8 +5,9 @@ from torch import Tensor
 
 from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
-from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine
+from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 
 @LOSSES.register("compressed")

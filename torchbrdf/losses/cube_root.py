@@ -4,8 +4,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.color import safe_power
-from torchbrdf.losses.base import LOSSES, Loss, Reduction, cosine
+from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 
 @LOSSES.register("cube_root")

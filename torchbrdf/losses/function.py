@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
-from torchbrdf.losses.base import LOSSES, Loss, Reduction
+from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 
 class FunctionLoss(Loss):

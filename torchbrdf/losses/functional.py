@@ -11,7 +11,6 @@ from typing import Any
 
 from torch import Tensor
 
-from torchbrdf.losses.base import Reduction
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
@@ -20,6 +19,7 @@ from torchbrdf.losses.log import LogLoss
 from torchbrdf.losses.rms import RMSLoss
 from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 __all__ = ["compressed", "cosine_rms", "cube_root", "learned", "log", "rms", "solid_angle_cosine_rms"]
 

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.losses.base import LOSSES, Reduction, version
+from torchbrdf.losses.base import LOSSES, version
 from torchbrdf.losses.binned import BinnedLoss, bin_mass
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 
 FLOOR = 1e-4
 """Added to values times cosines before the fourth root: how dark a difference can be before it no longer counts."""

@@ -123,11 +123,16 @@ def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
         name if count[name] == 1 else f"{path.resolve().parent.name}-{name}"
         for name, path in zip(names, paths, strict=True)
     ]
+    return number_repeats(names, "-")
+
+
+def number_repeats(names: Sequence[str], mark: str) -> list[str]:
+    """The names, those that came before with a mark and a number behind."""
     seen: Counter[str] = Counter()
     made = []
     for name in names:
         seen[name] += 1
-        made.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+        made.append(name if seen[name] == 1 else f"{name}{mark}{seen[name]}")
     return made
 
 

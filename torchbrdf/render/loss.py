@@ -9,9 +9,9 @@ from torchbrdf.color import luminance
 from torchbrdf.errors import UsageError
 from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, log_average_and_white, tonemap
 from torchbrdf.losses import ImageLoss, Problem
-from torchbrdf.losses.base import Reduction
 from torchbrdf.losses.image import QuadraticModel
 from torchbrdf.pairs import Pairs
+from torchbrdf.reduction import Reduction
 from torchbrdf.render.scene import Scene
 from torchbrdf.render.transport.transport import Transport
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.files import write_text
+from torchbrdf.files import write_json
 from torchbrdf.registry import unknown
 
 PLAN = "study.json"
@@ -191,7 +191,7 @@ class Plan:
     def save(self, folder: Path | str) -> Path:
         """Write the plan as `study.json` into a folder; gives its path."""
         path = Path(folder) / PLAN
-        write_text(path, json.dumps(asdict(self), indent=1) + "\n")
+        write_json(path, asdict(self))
         return path
 
     @classmethod

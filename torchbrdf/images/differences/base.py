@@ -1,19 +1,18 @@
 """What an image difference is: one number for each pair of pictures, to report and to minimise."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchbrdf.color import safe_power
-from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.errors import ShapeError
+from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 
 DIFFERENCES: Registry[type["Difference"]] = Registry(
     "difference", "torchbrdf.images.differences", "torchbrdf.differences"
 )
-
-Reduction = Literal["none", "mean", "sum"]
 
 # What both pictures show where nothing counts, so that windows that reach there see them equal.
 _GREY = 0.5
@@ -53,8 +52,7 @@ class Difference(nn.Module):
 
     def __init__(self, *, reduction: Reduction = "none") -> None:
         super().__init__()
-        if reduction not in ("none", "mean", "sum"):
-            raise UsageError(f"{type(self).__name__}: expected reduction none, mean or sum, found {reduction!r}")
+        check_reduction(self, reduction)
         self.reduction: Reduction = reduction
 
     @property
@@ -76,7 +74,7 @@ class Difference(nn.Module):
         Raises:
             ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
         """
-        return self._reduced(self.compare(*self._checked(image, reference, mask)))
+        return reduced(self.compare(*self._checked(image, reference, mask)), self.reduction)
 
     def loss(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
         """What a fit minimises: at least 0, and 0 for equal pictures; without a pixel that counts, nan.
@@ -94,16 +92,11 @@ class Difference(nn.Module):
         Raises:
             ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
         """
-        return self._reduced(self.objective(*self._checked(image, reference, mask)))
+        return reduced(self.objective(*self._checked(image, reference, mask)), self.reduction)
 
     def extra_repr(self) -> str:
         """The settings."""
         return f"reduction={self.reduction!r}"
-
-    def _reduced(self, values: Tensor) -> Tensor:
-        if self.reduction == "none":
-            return values
-        return values.mean() if self.reduction == "mean" else values.sum()
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The figure, `(B,)`, of checked pictures of one dtype; mask `(B, H, W)`, bool."""

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.color import safe_power
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, masked_mean
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean
 from torchbrdf.images.differences.delta_e76 import lab
+from torchbrdf.reduction import Reduction
 
 # Colours of less chroma have no hue. Far below what can be seen, far above where float32 loses its square.
 _HUELESS = 1e-9

@@ -3,7 +3,8 @@
 from kornia.color import rgb_to_lab
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.reduction import Reduction
 
 
 def lab(picture: Tensor) -> Tensor:

@@ -12,10 +12,10 @@ from torchbrdf.errors import UsageError
 from torchbrdf.images.differences.base import (
     DIFFERENCES,
     Difference,
-    Reduction,
     channels_first,
     masked_mean,
 )
+from torchbrdf.reduction import Reduction
 
 # Linear sRGB to XYZ, IEC 61966-2-1, exact, as the source has it; kornia's is rounded. Relative to white, (1, 1, 1).
 _XYZ = torch.tensor(

@@ -3,7 +3,8 @@
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.reduction import Reduction
 
 
 @DIFFERENCES.register("log_hdr")

@@ -5,7 +5,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchbrdf.color import safe_power
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, channels_first
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first
+from torchbrdf.reduction import Reduction
 
 _TAPS, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2

@@ -2,7 +2,8 @@
 
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference, Reduction
+from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
+from torchbrdf.reduction import Reduction
 
 
 @DIFFERENCES.register("psnr")

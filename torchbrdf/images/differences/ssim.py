@@ -3,7 +3,8 @@
 from kornia import metrics
 from torch import Tensor
 
-from torchbrdf.images.differences.base import DIFFERENCES, Difference, Reduction, channels_first, masked_mean
+from torchbrdf.images.differences.base import DIFFERENCES, Difference, channels_first, masked_mean
+from torchbrdf.reduction import Reduction
 
 _WINDOW = 11
 
