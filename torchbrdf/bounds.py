@@ -6,9 +6,13 @@ from torchbrdf.errors import UsageError
 
 SEEDS = (0, 2**63 - 1)
 """What every generator of torch and NumPy takes as a seed."""
+WHOLE = (-(2**63), 2**63 - 1)
+"""The bounds of a whole number that says none: what a tensor holds."""
+FINITE = (-math.inf, math.inf)
+"""The bounds of a number that says none; it is finite all the same."""
 
 
-def whole(value: object, low: int, high: int) -> int:
+def whole(value: object, low: int = WHOLE[0], high: int = WHOLE[1]) -> int:
     """A whole number, given as such or as text.
 
     Args:
@@ -28,16 +32,28 @@ def whole(value: object, low: int, high: int) -> int:
         3
     """
     try:
-        number = None if isinstance(value, bool | float) else int(value)  # type: ignore[call-overload]
+        made = None if isinstance(value, bool | float) else int(value)  # type: ignore[call-overload]
     except (TypeError, ValueError):
-        number = None
-    if number is None or not low <= number <= high:
-        raise UsageError(f"expected a whole number from {low} to {high}, found {found(value)}")
-    return int(number)
+        made = None
+    if made is None or not low <= made <= high:
+        within = "" if (low, high) == WHOLE else f" from {low} to {high}"
+        raise UsageError(f"expected a whole number{within}, found {found(value)}")
+    return int(made)
 
 
-def number(value: object, low: float, high: float) -> float:
-    """A finite number, given as such or as text: as `whole`.
+def number(value: object, low: float = FINITE[0], high: float = FINITE[1]) -> float:
+    """A finite number, given as such or as text.
+
+    Args:
+        value: the number.
+        low: the least that it may be.
+        high: the largest.
+
+    Returns:
+        The number.
+
+    Raises:
+        UsageError: it is none, not finite, or out of bounds.
 
     Example:
         >>> from torchbrdf.bounds import number
@@ -45,12 +61,14 @@ def number(value: object, low: float, high: float) -> float:
         0.5
     """
     try:
-        found_number = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+        made = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        found_number = math.nan
-    if not low <= found_number <= high or math.isinf(found_number):
-        raise UsageError(f"expected a number from {low:g} to {high:g}, found {found(value)}")
-    return found_number
+        made = math.nan
+    if not math.isfinite(made) or not low <= made <= high:
+        within = " number" if (low, high) != FINITE else " finite number"
+        within += "" if (low, high) == FINITE else f" from {low:g} to {high:g}"
+        raise UsageError(f"expected a{within}, found {found(value)}")
+    return made
 
 
 def found(value: object, most: int = 40) -> str:
@@ -64,5 +82,5 @@ def found(value: object, most: int = 40) -> str:
     try:
         text = str(value)
     except ValueError:  # Python refuses to write whole numbers of thousands of digits
-        text = f"a number of {type(value).__name__}"
-    return repr(text if len(text) <= most else text[: most - 3] + "...")
+        text = "a number of thousands of digits"
+    return ascii(text if len(text) <= most else text[: most - 3] + "...")
