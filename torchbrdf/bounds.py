@@ -2,7 +2,7 @@
 
 import math
 
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import UsageError, shown
 
 SEEDS = (0, 2**63 - 1)
 """What every generator of torch and NumPy takes as a seed."""
@@ -37,7 +37,7 @@ def whole(value: object, low: int = WHOLE[0], high: int = WHOLE[1]) -> int:
         made = None
     if made is None or not low <= made <= high:
         within = "" if (low, high) == WHOLE else f" from {low} to {high}"
-        raise UsageError(f"expected a whole number{within}, found {found(value)}")
+        raise UsageError(f"expected a whole number{within}, found {shown(value, 40)}")
     return int(made)
 
 
@@ -67,20 +67,5 @@ def number(value: object, low: float = FINITE[0], high: float = FINITE[1]) -> fl
     if not math.isfinite(made) or not low <= made <= high:
         within = " number" if (low, high) != FINITE else " finite number"
         within += "" if (low, high) == FINITE else f" from {low:g} to {high:g}"
-        raise UsageError(f"expected a{within}, found {found(value)}")
+        raise UsageError(f"expected a{within}, found {shown(value, 40)}")
     return made
-
-
-def found(value: object, most: int = 40) -> str:
-    """What was found, as a message shows it: in one line, and shortened.
-
-    Example:
-        >>> from torchbrdf.bounds import found
-        >>> found("9" * 60)
-        "'9999999999999999999999999999999999999...'"
-    """
-    try:
-        text = str(value)
-    except ValueError:  # Python refuses to write whole numbers of thousands of digits
-        text = "a number of thousands of digits"
-    return ascii(text if len(text) <= most else text[: most - 3] + "...")

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from torchbrdf import bounds
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import UsageError, shown
 from torchbrdf.files import write_json
 from torchbrdf.progress import Progress, quiet
+from torchbrdf.reading import read_json
 from torchbrdf.registry import Registry, unknown
 
 RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes")
@@ -195,18 +196,18 @@ def parse(text: str, expected: Any, where: str, metadata: Mapping[str, Any] | No
     if kind is bool:
         words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
         if text.lower() not in words:
-            raise UsageError(f"{where}: expected true or false, found {bounds.found(text)}")
+            raise UsageError(f"{where}: expected true or false, found {shown(text, 40)}")
         return words[text.lower()]
     if kind is str:
         if not text.isprintable():
-            raise UsageError(f"{where}: expected printable characters, found {bounds.found(text)}")
+            raise UsageError(f"{where}: expected printable characters, found {shown(text, 40)}")
         return text
     if kind in (int, float):
         return _number(text, kind, where, metadata)
     try:
         return kind(text)
     except (TypeError, ValueError):
-        raise UsageError(f"{where}: expected {getattr(kind, '__name__', kind)}, found {bounds.found(text)}") from None
+        raise UsageError(f"{where}: expected {getattr(kind, '__name__', kind)}, found {shown(text, 40)}") from None
 
 
 def _inner(expected: Any) -> tuple[Any, bool]:
@@ -282,10 +283,7 @@ def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | N
     record = {"recipe": recipe.name, "settings": settings, "versions": versions()}
     stored = out / "recipe.json"
     if stored.exists():
-        try:
-            before = json.loads(stored.read_text(encoding="utf-8"))
-        except ValueError:
-            raise DataError(f"{stored}: expected JSON; remove the folder or choose another") from None
+        before = read_json(stored, dict[str, Any], "the JSON object of a run's settings")
         changed = [key for key in ("recipe", "settings", "versions") if before.get(key) != record[key]]
         if changed:
             raise UsageError(

@@ -126,7 +126,7 @@ def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, sai
         (["fti"], "torchbrdf: COMMAND: invalid choice: 'fti'"),
         (["fit"], "torchbrdf fit: the following arguments are required: files; see torchbrdf fit --help"),
         (["fit", "x", "--lobes", "0"], "torchbrdf fit: --lobes: expected a whole number from 1 to 8, found '0'; see"),
-        (["fit", "x", "--lobes", "9" * 9000], r"expected a whole number from 1 to 8, found '9{37}\.\.\.'; see"),
+        (["fit", "x", "--lobes", "9" * 9000], r"expected a whole number from 1 to 8, found '9+ \.\.\. 9+'; see"),
         (["fit", "x", "--lbes", "1"], "torchbrdf fit: unknown option or word '--lbes'; see"),
         (["fit", "x", "--" + "l" * 9000], "torchbrdf fit: unknown option or word '--l.*; see"),
         (["study", "serve", "here", "there"], "torchbrdf study serve: unknown option or word 'there'; see"),
@@ -150,7 +150,7 @@ def test_words_may_stand_behind_options(paint, tmp_path, capsys):
 
 @pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400", "2", "", "x", "1" * 5000])
 def test_options_of_numbers_are_finite_and_bounded(text):
-    with pytest.raises(argparse.ArgumentTypeError, match=r"expected a number from 0 to 1, found '.{0,40}'"):
+    with pytest.raises(argparse.ArgumentTypeError, match=r"expected a number from 0 to 1, found .{2,40}$"):
         number(0, 1)(text)
     assert number(0, 1)("0.5") == 0.5
 

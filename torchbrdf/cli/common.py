@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from torchbrdf import bounds
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, shown
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
@@ -31,20 +31,15 @@ class Parser(argparse.ArgumentParser):
         found, rest = super().parse_known_args(args, namespace)
         wrong = [word for word in rest if not self.words or (word.startswith("-") and word != "-")]
         if wrong:
-            self.error(f"unknown option or word {bounds.found(wrong[0])}")
+            self.error(f"unknown option or word {shown(wrong[0])}")
         if rest:
             setattr(found, self.words, [*getattr(found, self.words), *rest])
         return found, []
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong in one line, and exit with 2."""
-        said = " ".join(message.removeprefix("argument ").split())
-        said = said if len(said) <= MESSAGE else f"{said[: MESSAGE // 2]} ... {said[-MESSAGE // 2 :]}"
-        self.exit(2, f"{self.prog}: {said}; see {self.prog} --help\n")
-
-
-MESSAGE = 220
-"""Characters of an error of the parser, beside the command's name before and behind it."""
+        said = one_line(f"{self.prog}: {message.removeprefix('argument ')}", LONGEST_MESSAGE - len(self.prog) - 14)
+        self.exit(2, f"{said}; see {self.prog} --help\n")
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:

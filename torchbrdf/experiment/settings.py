@@ -7,6 +7,7 @@ from typing import Any
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.fitting import STRATEGIES
+from torchbrdf.fitting.api import DIFFUSE_MODES
 from torchbrdf.lobes import LOBES
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.measured import Measured, load_all, standins
