@@ -56,7 +56,11 @@ class Recipe:
     quick: bool = dataclasses.field(default=False, metadata={"help": "a small version, to see that all works"})
     seed: int = dataclasses.field(
         default=0,
-        metadata={"help": "seed of everything that is drawn at random", "low": bounds.SEEDS[0], "high": bounds.SEEDS[1]},
+        metadata={
+            "help": "seed of everything that is drawn at random",
+            "low": bounds.SEEDS[0],
+            "high": bounds.SEEDS[1],
+        },
     )
 
     def __post_init__(self) -> None:
@@ -134,7 +138,9 @@ def find_recipe(name: str) -> type[Recipe]:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever other people's code raises
-        raise UsageError(f"recipe {name}: cannot be loaded: {type(error).__name__}: {error}{_line(error, path)}") from error
+        raise UsageError(
+            f"recipe {name}: cannot be loaded: {type(error).__name__}: {error}{_line(error, path)}"
+        ) from error
     finally:
         sys.path.remove(folder)
     found = [
@@ -283,7 +289,7 @@ def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | N
     record = {"recipe": recipe.name, "settings": settings, "versions": versions()}
     stored = out / "recipe.json"
     if stored.exists():
-        before = read_json(stored, dict[str, Any], "the JSON object of a run's settings")
+        before: dict[str, Any] = read_json(stored, dict[str, Any], "the JSON object of a run's settings")
         changed = [key for key in ("recipe", "settings", "versions") if before.get(key) != record[key]]
         if changed:
             raise UsageError(

@@ -36,7 +36,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
         unknown lobe 'wrad'; expected one of lambert, ward; did you mean 'ward'?
     """
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(name[:100], known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     return UsageError(f"unknown {kind} {shown(name)}; expected one of {', '.join(known)}{hint}")
 
