@@ -31,15 +31,16 @@ def read_exr(path: Path, data: bytes) -> np.ndarray:
     names = _colours(path, header)
     check_unpacked(path, header.unpacked)
     planes = _planes(path, data, header)
-    if names == ("Y",):
-        picture = np.repeat(planes["Y"][..., None].astype(np.float32), 3, -1)  # grey in all primaries
-    elif names == ("Y", "RY", "BY"):
-        picture = _from_chroma(path, planes, header.primaries)
-    else:
-        picture = np.stack([planes[name] for name in names], -1).astype(np.float32)
-    if names != ("Y",):
-        primaries = XYZ if names == ("X", "Y", "Z") else header.primaries
-        picture = converted(picture, to_rec709(path, primaries, header.neutral))
+    with np.errstate(over="ignore", invalid="ignore"):  # a file may hold all that a float can be
+        if names == ("Y",):
+            picture = np.repeat(planes["Y"][..., None].astype(np.float32), 3, -1)  # grey in all primaries
+        else:
+            if names == ("Y", "RY", "BY"):
+                picture = _from_chroma(path, planes, header.primaries)
+            else:
+                picture = np.stack([planes[name] for name in names], -1).astype(np.float32)
+            primaries = XYZ if names == ("X", "Y", "Z") else header.primaries
+            picture = converted(picture, to_rec709(path, primaries, header.neutral))
     return _placed(path, picture, header.data_window, header.display_window)
 
 

@@ -51,7 +51,7 @@ def read_radiance(path: Path, data: bytes) -> np.ndarray:
         rgbe = rgbe.transpose(1, 0, 2)
     signs = {match[2]: match[1], match[5]: match[4]}
     rgbe = rgbe[:: 1 if signs[b"Y"] == b"-" else -1, :: 1 if signs[b"X"] == b"+" else -1]
-    return _values(path, rgbe, header)
+    return np.ascontiguousarray(_values(path, rgbe, header))
 
 
 def _values(path: Path, rgbe: np.ndarray, header: _Header) -> np.ndarray:
@@ -111,23 +111,32 @@ def _numbers(path: Path, key: bytes, text: bytes, count: int) -> tuple[float, ..
 
 
 def _scan_lines(path: Path, data: bytes, start: int, count: int, length: int) -> np.ndarray:
-    """The bytes of all pixels, `(count, length, 4)`. Each line says for itself how it is encoded.
+    """The bytes of all pixels, `(count, length, 4)`. Nothing is made that the length of the file does not vouch for."""
+    is_flat = len(data) - start == 4 * count * length
+    try:
+        lines, end = _encoded_lines(path, data, start, count, length)
+    except DataError:
+        if not is_flat:
+            raise
+        end = start
+    if is_flat and end != len(data):  # some pixels look like an encoding
+        return np.frombuffer(data, np.uint8, offset=start).reshape(count, length, 4)
+    if end != len(data):
+        left = len(data) - end
+        logging.getLogger("torchbrdf").warning("torchbrdf: %s: %d bytes behind the picture mean nothing", path, left)
+    return np.stack(lines)
 
-    Nothing is allocated that the length of the file does not vouch for.
-    """
+
+def _encoded_lines(path: Path, data: bytes, start: int, count: int, length: int) -> tuple[list[np.ndarray], int]:
+    """Lines of which each says for itself how it is encoded, and where they end."""
     marker = bytes((2, 2, length >> 8 & 127, length & 255)) if _SHORTEST <= length <= _LONGEST else None
     lines = []
     for number in range(count):
         where = f"{path}: scan line {number} of {count}"
-        if data[start : start + 4] == marker:
-            line, start = _channels(where, data, start + 4, length)
-        else:
-            line, start = _pixels(where, data, start, length)
+        decode, at = (_channels, start + 4) if data[start : start + 4] == marker else (_pixels, start)
+        line, start = decode(where, data, at, length)
         lines.append(line)
-    if start != len(data):
-        left = len(data) - start
-        logging.getLogger("torchbrdf").warning("torchbrdf: %s: %d bytes behind the picture mean nothing", path, left)
-    return np.stack(lines)
+    return lines, start
 
 
 def _channels(where: str, data: bytes, start: int, length: int) -> tuple[np.ndarray, int]:
@@ -135,7 +144,7 @@ def _channels(where: str, data: bytes, start: int, length: int) -> tuple[np.ndar
     line = bytearray()
     for channel in range(1, 5):
         full = channel * length
-        while len(line) < full and start + 1 < len(data):
+        while len(line) < full and start + 1 < len(data) and data[start]:
             count = data[start]
             if count > 128:
                 line += data[start + 1 : start + 2] * (count - 128)
@@ -143,10 +152,8 @@ def _channels(where: str, data: bytes, start: int, length: int) -> tuple[np.ndar
             else:
                 line += data[start + 1 : start + 1 + count]
                 start += 1 + count
-            if count == 0:
-                break
-        if len(line) != full:
-            raise DataError(f"{where}: run lengths do not add up to {length} at byte {start}")
+        if len(line) != full or start > len(data):
+            raise DataError(f"{where}: run lengths do not add up to {length} at byte {min(start, len(data))}")
     return np.frombuffer(line, np.uint8).reshape(4, length).T, start
 
 
