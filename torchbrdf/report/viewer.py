@@ -8,14 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
 from PIL import Image
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.files import write_text
-from torchbrdf.images import DIFFERENCES, ToneMap, composite
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
@@ -93,9 +92,8 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
 
 def _jpeg(display: Tensor) -> str:
     """Display values `(H, W, 3)` as a data URI."""
-    pixels = (display.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     data = io.BytesIO()
-    Image.fromarray(pixels).save(data, format="JPEG", quality=QUALITY, subsampling="4:4:4", optimize=True)
+    Image.fromarray(to_bytes(display)).save(data, format="JPEG", quality=QUALITY, subsampling="4:4:4", optimize=True)
     return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
 
 
