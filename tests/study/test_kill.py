@@ -77,6 +77,10 @@ class Person(threading.Thread):
         self.answer = {"trial": trial, "side": side, "response_time": seconds}
 
 
+def heard(people):
+    return sum(len(person.acknowledged) + len(person.lost) for person in people)
+
+
 @pytest.mark.parametrize("kills", [5, pytest.param(50, marks=pytest.mark.slow)])
 def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path, kills):
     make_study(tmp_path, materials=10)
@@ -88,7 +92,10 @@ def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path, kills):
         for person in people:
             person.start()
         for _ in range(kills):
-            time.sleep(moments.uniform(0.0, 0.25))
+            # After some answers more, however slow the machine is.
+            enough, until = heard(people) + moments.randrange(10, 30), time.monotonic() + 20
+            while heard(people) < enough and time.monotonic() < until:
+                time.sleep(moments.uniform(0.0, 0.02))
             process.kill()
             process.communicate()
             process, _ = start_server(tmp_path, port)

@@ -24,7 +24,7 @@ from helpers.study_folder import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError
 from torchbrdf.study import trials
 from torchbrdf.study.server import AHEAD, make_app, plain_png
 from torchbrdf.study.store import STORE, Store
@@ -360,7 +360,7 @@ def test_fuzzed_paths(client, path, parts):
 )
 def test_screening_that_lets_nobody_in(folder, plan, tmp_path, screening, said):
     store = Store(tmp_path / STORE, replace(plan, screening=screening))
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(DataError, match=rf"study\.json: {said}"):
         make_app(folder, EXPERIMENT, store)
     store.close()
 

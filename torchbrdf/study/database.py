@@ -1,7 +1,6 @@
 """A SQLite file that many threads write into at once: what is written is on the disk, and soon in the file itself."""
 
 import logging
-import os
 import sqlite3
 import threading
 import time
@@ -21,7 +20,7 @@ T = TypeVar("T")
 PATIENCE = 0.5
 SHUT = 1.0
 # Seconds between checkpoints, while there are writes.
-PAUSE = 0.1
+PAUSE = 0.2
 
 log = logging.getLogger(__name__)
 
@@ -113,6 +112,13 @@ class Database:
             self._written.set()
             thread.join()
 
+    def check_place(self) -> None:
+        """A DataError if the file was removed or replaced: what is written then is lost when the process ends."""
+        if self._place is not None and self._place != self._find():
+            raise DataError(
+                f"{self.path}: removed or replaced while in use, so nothing is recorded; put it back, or start again"
+            )
+
     def close(self) -> None:
         """Close the connections of all threads; none may be at work."""
         if self._place is not None and self._place == self._find():
@@ -131,7 +137,7 @@ class Database:
             with self._transaction() as db:
                 for future, work in together:
                     heard.append(_attempt(db, future, work))
-            self._check_place()
+            self.check_place()
         except BaseException as error:
             for future, _ in together:
                 future.set_exception(error)
@@ -146,7 +152,7 @@ class Database:
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         if time.monotonic() < self._shut:
             raise DataError(f"{self.path}: another process has it locked")
-        self._check_place()
+        self.check_place()
         db = self.connection()
         try:
             db.execute("BEGIN IMMEDIATE")
@@ -162,19 +168,12 @@ class Database:
             if db.in_transaction:
                 db.execute("ROLLBACK")
 
-    def _check_place(self) -> None:
-        """A DataError if the file was removed or replaced: what is written then is lost when the process ends."""
-        if self._place is not None and self._place != self._find():
-            raise DataError(
-                f"{self.path}: removed or replaced while in use, so nothing is recorded; put it back, or start again"
-            )
-
     def _find(self) -> list[tuple[int, int] | None]:
         """What is at the names of the file, its log, and the log's index now."""
         found: list[tuple[int, int] | None] = []
         for end in ("", "-wal", "-shm"):
             try:
-                status = os.stat(f"{self.path}{end}")
+                status = self.path.with_name(f"{self.path.name}{end}").stat()
             except FileNotFoundError:
                 found.append(None)
             else:

@@ -242,6 +242,10 @@ class Store:
         """Within the block, a copy of the file alone, without its log, holds all but the last moments."""
         return self._database.checkpoints()
 
+    def check_place(self) -> None:
+        """A DataError if the file was removed or replaced since it was opened."""
+        self._database.check_place()
+
     def close(self) -> None:
         """Close the connections of all threads; none may be at work."""
         self._database.close()
