@@ -114,4 +114,4 @@ def say(text: str) -> None:
         print(text, flush=True)
     except OSError:
         # Or Python tries again at its end, and fails.
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (to the end)

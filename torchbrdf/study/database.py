@@ -51,15 +51,21 @@ class Database:
         self._place = self._find()
 
     def connection(self) -> sqlite3.Connection:
-        """This thread's own, to read with."""
+        """This thread's own, to read with; a DataError if the file is not there any more."""
+        self.check_place()
         found: sqlite3.Connection | None = getattr(self._own, "connection", None)
         if found is None:
             # isolation_level: transactions are those that are written here. Others' threads only ever close it.
             found = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
+            try:
+                found.execute("PRAGMA journal_mode = WAL")
+                found.execute("PRAGMA synchronous = FULL")
+                found.execute("PRAGMA foreign_keys = ON")
+                self.check_place()  # or it might be another file, or a new one
+            except BaseException:
+                found.close()
+                raise
             self._opened.append(found)
-            found.execute("PRAGMA journal_mode = WAL")
-            found.execute("PRAGMA synchronous = FULL")
-            found.execute("PRAGMA foreign_keys = ON")
             self._own.connection = found
         return found
 
@@ -95,12 +101,10 @@ class Database:
                 self._written.wait()
                 self._written.clear()
                 try:
-                    whole = self.checkpoint()
-                except sqlite3.Error as error:  # what is written is in the log
-                    log.error("%s: a checkpoint failed (%s)", self.path, error)
-                    whole = False
-                if not whole:
-                    self._written.set()
+                    if not self.checkpoint():
+                        self._written.set()
+                except (sqlite3.Error, OSError, DataError) as error:  # what is written is in the log
+                    log.error("%s: not brought into the file yet (%s)", self.path, error)
                 stop.wait(PAUSE)
 
         thread = threading.Thread(target=work, name="checkpoints", daemon=True)
@@ -152,7 +156,6 @@ class Database:
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         if time.monotonic() < self._shut:
             raise DataError(f"{self.path}: another process has it locked")
-        self.check_place()
         db = self.connection()
         try:
             db.execute("BEGIN IMMEDIATE")

@@ -32,6 +32,11 @@ class Site:
     origin: str | None = None
     prefix: str = ""
 
+    @property
+    def url(self) -> str | None:
+        """Of the page for observers; None where they come straight to the server."""
+        return None if self.origin is None else f"{self.origin}{self.prefix}/"
+
     @classmethod
     def of(cls, host: str, url: str | None = None) -> "Site":
         """The site of a server that listens at a host, and that observers reach under a URL.
@@ -124,8 +129,9 @@ class Allowance:
         now = time.monotonic()
         with self._lock:
             until = max(self._until.get(key, now), now) + self._step
-            if until - now > self._room:
-                return until - now - self._room
+            wait = until - now - self._room
+            if wait > 1e-6:
+                return wait
             if len(self._until) >= KEYS:
                 self._until = {other: when for other, when in self._until.items() if when > now}
             self._until[key] = until

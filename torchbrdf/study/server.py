@@ -127,7 +127,7 @@ def serve(
         here = address(host, listener.getsockname()[1])
         stack.enter_context(stopping())
         with store.checkpoints():
-            say(f"{here} asks observers{f', who come through {url}' if url else ''}; Ctrl-C stops")
+            say(f"{here} asks observers{f', who open {site.url}' if site.url else ''}; Ctrl-C stops")
             server.run()
         store.check_place()
         count, answers = store.counts(experiment)
