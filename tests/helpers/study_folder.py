@@ -118,16 +118,15 @@ BAD_SCREENS = [
 ]
 
 
-def start_server(folder: Path, port: int = 0, experiment: str = EXPERIMENT) -> tuple[subprocess.Popen, int]:
+def start_server(folder: Path, port: int = 0, **settings: object) -> tuple[subprocess.Popen, int]:
     """`serve` in a process of its own, and the port that it listens at."""
     # Where this runs in the background of a shell, Ctrl-C would be ignored.
     code = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "from torchbrdf.study.server import serve; serve(sys.argv[1], sys.argv[2], port=int(sys.argv[3]))"
+        "import json, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from torchbrdf.study.server import serve; serve(sys.argv[1], **json.loads(sys.argv[2]))"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, str(folder), experiment, str(port)], stdout=subprocess.PIPE, text=True
-    )
+    given = json.dumps({"experiment": EXPERIMENT, "port": port, **settings})
+    process = subprocess.Popen([sys.executable, "-c", code, str(folder), given], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line.startswith("http://127.0.0.1:"), f"the server did not start: {line!r}, status {process.poll()}"
@@ -135,9 +134,9 @@ def start_server(folder: Path, port: int = 0, experiment: str = EXPERIMENT) -> t
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[tuple[subprocess.Popen, int]]:
+def serving(folder: Path, **settings: object) -> Iterator[tuple[subprocess.Popen, int]]:
     """A server, and its port, until the block ends."""
-    process, port = start_server(folder)
+    process, port = start_server(folder, **settings)
     try:
         yield process, port
     finally:
@@ -145,9 +144,9 @@ def serving(folder: Path) -> Iterator[tuple[subprocess.Popen, int]]:
             stop_server(process)
 
 
-def stop_server(process: subprocess.Popen) -> str:
-    """Stop it as Ctrl-C does; gives what it says at the end."""
-    process.send_signal(signal.SIGINT)
+def stop_server(process: subprocess.Popen, number: int = signal.SIGINT) -> str:
+    """Stop it as Ctrl-C does, or by another signal; gives what it says at the end."""
+    process.send_signal(number)
     said, _ = process.communicate(timeout=20)
     return said
 
@@ -157,17 +156,26 @@ class Client:
 
     def __init__(self, port: int) -> None:
         self.port = port
+        self.headers: dict[str, str] = {}  # sent with every request
         self._connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
 
     def ask(self, path: str, record: object = None) -> tuple[int, bytes]:
         """Get, or post a record as JSON; gives status and body. An OSError or HTTPException if it breaks."""
+        response, said = self._ask(path, record)
+        return response.status, said
+
+    def location(self, path: str) -> tuple[int, str | None]:
+        """Get; gives the status and where it leads."""
+        response, _ = self._ask(path)
+        return response.status, response.headers["Location"]
+
+    def _ask(self, path: str, record: object = None) -> tuple[http.client.HTTPResponse, bytes]:
         body = None if record is None else json.dumps(record)
+        headers = self.headers | ({"Content-Type": "application/json"} if body else {})
         try:
-            self._connection.request(
-                "GET" if body is None else "POST", path, body, {"Content-Type": "application/json"} if body else {}
-            )
+            self._connection.request("GET" if body is None else "POST", path, body, headers)
             response = self._connection.getresponse()
-            return response.status, response.read()
+            return response, response.read()
         except (OSError, http.client.HTTPException):
             self._connection.close()  # the next request opens it again
             raise

@@ -101,7 +101,7 @@ def answers_of(folder, link):
     """What is recorded of an observer."""
     store = Store(folder / STORE, Plan.load(folder))
     token = link.rpartition("/")[2]
-    (number,) = store._connection().execute("SELECT id FROM observers WHERE token = ?", (token,)).fetchone()
+    (number,) = store._database.connection().execute("SELECT id FROM observers WHERE token = ?", (token,)).fetchone()
     found = [answer for answer in store.answers() if answer.observer == f"observer-{number:03d}"]
     store.close()
     return found

@@ -3,10 +3,15 @@
 import contextlib
 import http.client
 import logging
+import os
 import random
 import select
+import shutil
+import signal
 import socket
 import sqlite3
+import subprocess
+import sys
 import threading
 import time
 
@@ -25,7 +30,8 @@ from helpers.study_folder import (
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.study import trials
-from torchbrdf.study.server import LARGEST_BODY, address, listening, make_app, serve
+from torchbrdf.study.connections import CONNECTIONS, address, listening
+from torchbrdf.study.server import LARGEST_BODY, make_app, serve
 from torchbrdf.study.store import STORE, Store
 
 
@@ -77,6 +83,10 @@ class Person(threading.Thread):
         self.answer = {"trial": trial, "side": side, "response_time": seconds}
 
 
+def heard(people):
+    return sum(len(person.acknowledged) + len(person.lost) for person in people)
+
+
 @pytest.mark.parametrize("kills", [5, pytest.param(50, marks=pytest.mark.slow)])
 def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path, kills):
     make_study(tmp_path, materials=10)
@@ -88,7 +98,10 @@ def test_killed_again_and_again_nothing_is_lost_or_doubled(tmp_path, kills):
         for person in people:
             person.start()
         for _ in range(kills):
-            time.sleep(moments.uniform(0.0, 0.25))
+            # After some answers more, however slow the machine is.
+            enough, until = heard(people) + moments.randrange(10, 30), time.monotonic() + 20
+            while heard(people) < enough and time.monotonic() < until:
+                time.sleep(moments.uniform(0.0, 0.02))
             process.kill()
             process.communicate()
             process, _ = start_server(tmp_path, port)
@@ -228,17 +241,124 @@ def test_large_bodies_are_refused(port):
     client.close()
 
 
-def test_serve_says_where_it_is_and_how_many_came(tmp_path):
+def recorded(path):
+    """How many answers a database file has, without its log."""
+    database = sqlite3.connect(path)
+    (count,) = database.execute("SELECT COUNT(*) FROM answers").fetchone()
+    database.close()
+    return count
+
+
+def answers(client, link, first, count):
+    """Give some answers; all are acknowledged."""
+    for trial in range(first, first + count):
+        assert client.tell(f"{link}/answer", {"trial": trial, "side": "left", "response_time": 1.5})[0] == 200
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_whatever_stops_it_all_is_in_the_file(tmp_path, name):
     make_study(tmp_path)
     with serving(tmp_path) as (process, port):
         client = Client(port)
-        assert client.tell(f"{client.ready()}/answer", {"trial": 0, "side": "left", "response_time": 1.5})[0] == 200
+        answers(client, client.ready(), 0, 18)
+        viewer = sqlite3.connect(tmp_path / STORE)  # which keeps the log from going away by itself
+        assert viewer.execute("SELECT COUNT(*) FROM answers").fetchone() == (18,)
+        said = stop_server(process, getattr(signal, name))
+        assert said == f"stopped: 1 observers, 18 answers in {tmp_path / STORE}\n"
+        assert process.returncode == 0
+        shutil.copy(tmp_path / STORE, tmp_path / "copy.sqlite")
+        assert recorded(tmp_path / "copy.sqlite") == 18
+        viewer.close()
         client.close()
-        with pytest.raises(UsageError, match=rf"^cannot listen at 127\.0\.0\.1, port {port} \(.+\); try another port$"):
-            serve(tmp_path, EXPERIMENT, port=port)
-        assert stop_server(process) == f"stopped: 1 observers, 1 answers in {tmp_path / STORE}\n"
-    assert process.returncode == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["copy.sqlite", "renders", "study.json", STORE]
+
+
+def test_a_copy_while_it_runs(tmp_path):
+    make_study(tmp_path)
+    with serving(tmp_path) as (process, port):
+        client, copy, until = Client(port), tmp_path / "copy.sqlite", time.monotonic() + 20
+        shutil.copy(tmp_path / STORE, copy)
+        assert recorded(copy) == 0  # its tables are there
+        link = client.ready()
+        for first in (0, 9):
+            answers(client, link, first, 9)
+            while recorded(copy) < first + 9 and time.monotonic() < until:
+                time.sleep(0.05)
+                shutil.copy(tmp_path / STORE, copy)
+            assert recorded(copy) == first + 9
+        process.kill()
+        process.communicate()
+        client.close()
+
+
+def test_its_terminal_may_go_away(tmp_path):
+    make_study(tmp_path)
+    ours, its = os.openpty()
+    code = "import sys; from torchbrdf.cli import main; sys.exit(main(['study', 'serve', sys.argv[1], '--port', '0']))"
+    process = subprocess.Popen([sys.executable, "-c", code, tmp_path], stdin=its, stdout=its, stderr=its)
+    os.close(its)
+    line = os.read(ours, 1000)
+    client = Client(int(line.split(b"/")[2].split(b":")[1]))
+    answers(client, client.ready(), 0, 5)
+    os.close(ours)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(timeout=20) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["renders", "study.json", STORE]
+    assert recorded(tmp_path / STORE) == 5
+    client.close()
+
+
+def test_nohup_is_heard(tmp_path):
+    make_study(tmp_path)
+    kept = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process, port = start_server(tmp_path)
+    finally:
+        signal.signal(signal.SIGHUP, kept)
+    process.send_signal(signal.SIGHUP)
+    client = Client(port)
+    answers(client, client.ready(), 0, 3)
+    client.close()
+    assert stop_server(process, signal.SIGTERM).startswith("stopped: 1 observers, 3 answers")
+
+
+def test_a_database_that_is_removed_while_it_serves(tmp_path, capfd):
+    make_study(tmp_path)
+    with serving(tmp_path) as (process, port):
+        client = Client(port)
+        link = client.ready()
+        answers(client, link, 0, 2)
+        (tmp_path / STORE).unlink()
+        for _ in range(3):
+            assert client.tell(f"{link}/answer", {"trial": 2, "side": "left", "response_time": 1.5})[0] == 503
+        assert client.ask(f"{link}/2/left.png")[0] == 503 and client.ask("/")[0] == 200
+        client.close()
+        assert stop_server(process) == ""
+    assert process.returncode == 1 and not (tmp_path / STORE).exists()
+    said = capfd.readouterr().err
+    assert (
+        said.count(f"{STORE}: removed or replaced while in use, so nothing is recorded") == 2
+    )  # at once, and at the end
+
+
+def test_half_open_connections_do_not_stop_it(port):
+    starts = [b"", b"GET / HTTP/1.1\r\nHost: localhost\r\n", b"POST /begin HTTP/1.1\r\nHost: localhost\r\n"]
+    starts += [b"POST /begin HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99\r\n\r\n{"]
+    with contextlib.ExitStack() as stack:
+        person = Client(port)
+        link = person.ready()
+        held = []
+        for k in range(CONNECTIONS + 100):
+            held.append(stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10)))
+            held[-1].sendall(starts[k % len(starts)])
+        began = time.monotonic()
+        answers(person, link, 0, 3)  # over the connection from before
+        other = Client(port)
+        answers(other, other.ready(), 0, 3)
+        assert time.monotonic() - began < 5
+        assert held[0].recv(1) == b""  # the oldest was closed
+        person.close()
+        other.close()
 
 
 @pytest.mark.parametrize(
@@ -254,6 +374,17 @@ def test_bad_usage(tmp_path, change, said):
     with pytest.raises(UsageError) as caught:
         serve(tmp_path, **{"experiment": EXPERIMENT, "port": 0, **change})
     assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+
+
+def test_bad_settings(tmp_path):
+    make_study(tmp_path)
+    for change, said in (
+        ({"url": "study.example"}, "^--url: expected "),
+        ({"observers": 0}, "^--observers: expected 1"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            serve(tmp_path, EXPERIMENT, port=0, **change)
+    assert not (tmp_path / STORE).exists()
 
 
 def test_a_folder_without_a_plan(tmp_path):

@@ -1,7 +1,11 @@
 """The server of a study: who may see and say what, and that nothing else is recorded or told."""
 
 import json
+import re
+import sqlite3
+import time
 from dataclasses import replace
+from urllib.parse import urljoin
 
 import pytest
 from helpers.study_folder import (
@@ -24,8 +28,10 @@ from helpers.study_folder import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError
 from torchbrdf.study import trials
+from torchbrdf.study.database import SHUT
+from torchbrdf.study.guard import Begins, Site
 from torchbrdf.study.server import AHEAD, make_app, plain_png
 from torchbrdf.study.store import STORE, Store
 
@@ -271,6 +277,93 @@ def test_headers_of_posts(client, store, headers, status):
     assert len(store.answers()) == before + (status == 200)
 
 
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "127.0.0.1:8000", "Origin": "https://study.example"}, 200),
+        ({"Host": "study.example", "Origin": "https://study.example", "Sec-Fetch-Site": "same-origin"}, 200),
+        ({"Host": "localhost:9000", "Origin": "http://localhost:9000"}, 200),
+        ({"Host": "study.example", "Origin": "null", "Sec-Fetch-Site": "same-origin"}, 200),
+        ({"Host": "study.example", "Origin": "null"}, 403),
+        ({"Host": "study.example", "Sec-Fetch-Site": "cross-site"}, 403),
+        ({"Host": "study.example", "Origin": "https://evil.example"}, 403),
+        ({"Host": "evil.example:8000", "Origin": "http://evil.example:8000", "Sec-Fetch-Site": "same-origin"}, 400),
+        ({"Host": "evil.example"}, 400),
+    ],
+)
+def test_pages_and_names_behind_a_proxy(folder, store, headers, status):
+    site = Site.of("127.0.0.1", "https://study.example/fits")
+    client = make_app(folder, EXPERIMENT, store, site).test_client()
+    link = ready(client)
+    before = len(store.answers())
+    assert client.post(f"{link}/answer", json=GOOD, headers=headers).status_code == status
+    assert len(store.answers()) == before + (status == 200)
+    read = client.get(link, headers={"Host": headers["Host"]})
+    assert read.status_code == (400 if status == 400 else 200)
+
+
+def test_links_are_relative(client):
+    link = ready(client)
+    for path, page in (("/fits/", client.get("/").text), (f"/fits{link}", client.get(link).text)):
+        found = re.findall(r'(?:href|src|action)="([^"]*)"', page)
+        assert {urljoin(path, one) for one in found} == {
+            f"/fits/page/{name}" for name in ("icon.svg", "study.css", "study.js")
+        }
+        assert not [one for one in found if one.startswith("/")]
+    for script in ("study.js", "trials.js", "send.js"):
+        assert not re.search(r"""["'`]/[a-z]""", client.get(f"/page/{script}").text)
+
+
+def test_a_locked_database_stops_only_what_writes(folder, plan, tmp_path):
+    store = Store(tmp_path / STORE, plan)
+    client = make_app(folder, EXPERIMENT, store).test_client()
+    link = ready(client)
+    other = sqlite3.connect(store.path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    refused = [answer(client, link, 0), client.post("/begin", json={"agreed": True})]
+    assert [(one.status_code, one.headers["Retry-After"]) for one in refused] == [(503, "1")] * 2
+    for path in ("/", link, f"{link}/state", f"{link}/0/left.png", "/page/study.js"):
+        assert client.get(path).status_code == 200
+    other.execute("ROLLBACK")
+    other.close()
+    time.sleep(SHUT)
+    assert answer(client, link, 0).json["state"]["trial"] == 1
+    store.close()
+
+
+def test_what_cannot_be_recorded_is_told_once(folder, plan, tmp_path, caplog):
+    store = Store(tmp_path / STORE, plan)
+    client = make_app(folder, EXPERIMENT, store).test_client()
+    link = ready(client)
+    assert answer(client, link, 0).status_code == 200
+    store.path.rename(tmp_path / "away")
+    for _ in range(20):
+        response = answer(client, link, 1)
+        assert response.status_code == 503 and str(tmp_path) not in response.text
+    (said,) = [record.getMessage() for record in caplog.records if record.name == "torchbrdf.study.server"]
+    assert said.startswith(f"{store.path}: removed or replaced while in use, so nothing is recorded")
+    (tmp_path / "away").rename(store.path)
+    assert answer(client, link, 1).json["state"]["trial"] == 2
+    assert len(store.answers()) == 2
+    store.close()
+
+
+def test_a_flood_fills_nothing(folder, plan, tmp_path):
+    store = Store(tmp_path / STORE, plan)
+    app = make_app(folder, EXPERIMENT, store, observers=9, begins=Begins((5, 1), (20, 1)))
+    client = app.test_client()
+
+    def begun(where):
+        return client.post("/begin", json={"agreed": True}, environ_overrides={"REMOTE_ADDR": where})
+
+    flood = [begun("192.0.2.1") for _ in range(50)]
+    assert [one.status_code for one in flood] == [201] * 5 + [429] * 45
+    assert 55 <= int(flood[-1].headers["Retry-After"]) <= 60 and "try again" in flood[-1].json["error"]
+    assert [begun(f"192.0.2.{k}").status_code for k in range(2, 8)] == [201] * 4 + [403] * 2
+    assert len(store.profiles()) == 9
+    store.close()
+
+
 @pytest.mark.parametrize("method", ["PUT", "DELETE", "PATCH", "TRACE", "PROPFIND", "FROB"])
 def test_unknown_methods(client, store, method):
     link = ready(client)
@@ -360,8 +453,54 @@ def test_fuzzed_paths(client, path, parts):
 )
 def test_screening_that_lets_nobody_in(folder, plan, tmp_path, screening, said):
     store = Store(tmp_path / STORE, replace(plan, screening=screening))
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(DataError, match=rf"study\.json: {said}"):
         make_app(folder, EXPERIMENT, store)
+    store.close()
+
+
+@pytest.mark.parametrize("bad", [{"colour_vision": (5,)}, {"room": (["dark"],)}, {"room": (None, "dark")}])
+def test_screening_by_what_is_no_text(folder, plan, tmp_path, bad):
+    store = Store(tmp_path / STORE, replace(plan, screening=bad))
+    with pytest.raises(DataError, match=r"study\.json: unknown answer to "):
+        make_app(folder, EXPERIMENT, store)
+    store.close()
+
+
+@pytest.mark.parametrize("bad", [None, 5, ["One."], {"a": "b"}])
+def test_words_that_are_none(folder, plan, tmp_path, bad):
+    store = Store(tmp_path / STORE, replace(plan, texts={"title": bad}))
+    with pytest.raises(DataError, match=r"study\.json: texts: title: expected text, found "):
+        make_app(folder, EXPERIMENT, store)
+    store.close()
+
+
+def _turned(data, at):
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+
+DAMAGES = {
+    "short": lambda data: data[: len(data) // 2],
+    "no end": lambda data: data[:-12],
+    "more": lambda data: data + b"x",
+    "size": lambda data: _turned(data, 19),
+    "pixels": lambda data: _turned(data, data.index(b"IDAT") + 20),
+    "kind": lambda data: data.replace(b"IDAT", b"IDAX"),
+    "only a head": lambda data: data[:33],
+    "only a start": lambda data: data[:8],
+    "empty": lambda data: b"",
+    "another": lambda data: b"\xff\xd8\xff\xe0" + data,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_pictures_are_told_before_anybody_comes(tmp_path, damage):
+    plan = make_study(tmp_path)
+    picture = tmp_path / plan.materials[1].stimuli["wren"].picture
+    picture.write_bytes(DAMAGES[damage](picture.read_bytes()))
+    store = Store(tmp_path / STORE, plan)
+    with pytest.raises(DataError, match=rf"{picture.name}: expected a (whole )?PNG, found ") as caught:
+        make_app(tmp_path, EXPERIMENT, store)
+    assert len(str(caught.value)) <= 300
     store.close()
 
 

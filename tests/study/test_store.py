@@ -5,7 +5,9 @@ import json
 import shutil
 import sqlite3
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -14,10 +16,10 @@ from helpers.study_folder import BIRDS, EXPERIMENT, REPORTS, SCREEN, make_study
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.study import Experiment, Stimulus, read_answers, trials, write_answers
+from torchbrdf.study import Experiment, Stimulus, database, read_answers, trials, write_answers
 from torchbrdf.study import store as module
 from torchbrdf.study.design import observer_seed
-from torchbrdf.study.store import STORE, IneligibleError, NotNowError, Store, UnknownObserverError
+from torchbrdf.study.store import STORE, FullError, IneligibleError, NotNowError, Store, UnknownObserverError
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +168,7 @@ def test_one_of_many_answers_at_once_counts(store, plan):
     for thread in threads:
         thread.join()
     other.close()
+    taken.sort()  # what is recorded together is told in any order
     assert [position for position, _ in taken] == list(range(len(taken))) and taken
     answers = store.answers()
     assert [answer.response_time for answer in answers] == [float(k) for _, k in taken]
@@ -182,7 +185,7 @@ def test_an_answer_is_on_the_disk_when_it_is_acknowledged(store, plan, tmp_path)
     found = Store(copy / STORE, plan)
     assert found.answers() == store.answers() and found.state(token) == store.state(token)
     found.close()
-    connection = store._connection()
+    connection = store._database.connection()
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
 
@@ -190,24 +193,41 @@ def test_an_answer_is_on_the_disk_when_it_is_acknowledged(store, plan, tmp_path)
 def test_the_database_itself_refuses_doubles(store):
     token = ready(store)
     store.answer(token, 0, "left", 1.0)
-    connection = store._connection()
+    connection = store._database.connection()
     for row in ((1, 0, "right"), (1, 18, "left"), (2, 0, "left"), (1, 1, "up")):
         with pytest.raises(sqlite3.IntegrityError):
             connection.execute("INSERT INTO answers VALUES (?, ?, ?, 1.0, '')", row)
     assert len(store.answers()) == 1
 
 
-def test_after_a_failed_write_it_goes_on(plan, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PATIENCE", 0.05)
-    store = Store(tmp_path / STORE, plan)
-    token = ready(store)
-    other = sqlite3.connect(store.path, isolation_level=None)
-    other.execute("BEGIN IMMEDIATE")
-    with pytest.raises(sqlite3.OperationalError, match="locked"):
-        store.answer(token, 0, "left", 1.0)
-    assert store.state(token).position == 0  # which can be read meanwhile
+@contextmanager
+def locked(path):
+    """Another process' write that does not end."""
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    yield
     other.execute("ROLLBACK")
     other.close()
+
+
+def test_a_locked_file_keeps_nobody_waiting(store):
+    token = ready(store)
+    with locked(store.path):
+        began = time.monotonic()
+        with ThreadPoolExecutor(8) as pool:
+            for one in [pool.submit(store.answer, token, 0, "left", 1.0) for _ in range(40)]:
+                with pytest.raises(DataError, match=r"study\.sqlite: another process has it locked$"):
+                    one.result()
+        assert time.monotonic() - began < 3 * database.PATIENCE
+        began = time.monotonic()
+        assert store.state(token).position == 0  # which can be read meanwhile
+        assert time.monotonic() - began < 0.2
+    time.sleep(database.SHUT)
+    assert store.answer(token, 0, "right", 2.0).position == 1
+
+
+def test_after_a_failed_write_it_goes_on(store, monkeypatch):
+    token = ready(store)
 
     def broken(*_):
         raise RuntimeError("in the middle of a transaction")
@@ -218,7 +238,121 @@ def test_after_a_failed_write_it_goes_on(plan, tmp_path, monkeypatch):
             store.begin(EXPERIMENT)
     assert store.answer(token, 0, "right", 2.0).position == 1
     assert store.counts(EXPERIMENT) == (1, 1)
+
+
+def test_writes_of_many_threads_wait_for_the_disk_together(store):
+    tokens = [ready(store) for _ in range(16)]
+    commits = []
+    kept = store._database._written.set
+    store._database._written.set = lambda: (commits.append(1), kept())
+    store._database._writer.acquire()  # as if the disk were busy
+    with ThreadPoolExecutor(20) as pool:
+        good = [pool.submit(store.answer, token, 0, "left", 1.0) for token in tokens]
+        bad = [pool.submit(store.answer, token, 5, "left", 1.0) for token in tokens[:3]]
+        forged = pool.submit(store.answer, "forged", 0, "left", 1.0)
+        while len(store._database._waiting) < 20:
+            time.sleep(0.001)
+        assert not any(one.done() for one in good)
+        store._database._writer.release()
+        assert [one.result().position for one in good] == [1] * 16
+        assert [type(one.exception()) for one in bad] == [NotNowError] * 3  # and only those
+        assert type(forged.exception()) is UnknownObserverError
+    assert len(commits) == 1 and len(store.answers()) == 16
+
+
+def answers_in(path, copy):
+    """How many answers a copy of the file has, without its log."""
+    shutil.copy(path, copy)
+    found = sqlite3.connect(copy)
+    count = found.execute("SELECT COUNT(*) FROM answers").fetchone()[0]
+    found.close()
+    return count
+
+
+def test_a_copy_of_the_file_alone_is_whole(store, tmp_path):
+    copy = tmp_path / "copy.sqlite"
+    assert answers_in(store.path, copy) == 0  # tables are there at once
+    tokens = [ready(store) for _ in range(3)]
+    with store.checkpoints():
+        for k in range(12):
+            for token in tokens:
+                store.answer(token, k, "left", 1.0)
+        until = time.monotonic() + 10
+        while answers_in(store.path, copy) < 36 and time.monotonic() < until:
+            time.sleep(0.05)
+        assert answers_in(store.path, copy) == 36
+    for token in tokens:
+        store.answer(token, 12, "left", 1.0)
+    other = sqlite3.connect(store.path)  # such as a viewer
+    assert other.execute("SELECT COUNT(*) FROM answers").fetchone() == (39,)
     store.close()
+    assert answers_in(store.path, copy) == 39
+    other.close()
+
+
+def test_the_log_does_not_grow(store):
+    sizes = []
+    with store.checkpoints():
+        for _ in range(5):
+            for _ in range(10):
+                store.begin(EXPERIMENT)
+            while not store._database.checkpoint():
+                time.sleep(0.01)
+            sizes.append(store.path.with_name(f"{STORE}-wal").stat().st_size)
+    assert 0 < max(sizes) < 2 * sizes[0]
+
+
+@pytest.mark.parametrize("loss", ["file", "log", "index", "folder", "replaced", "emptied"])
+def test_what_is_lost_is_not_acknowledged(plan, tmp_path, loss):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    store = Store(folder / STORE, plan)
+    token, other = ready(store), ready(store)
+    store.answer(token, 0, "left", 1.0)
+    away = tmp_path / "away"
+    gone = {"folder": folder, "log": folder / f"{STORE}-wal", "index": folder / f"{STORE}-shm"}.get(loss, store.path)
+    if loss == "emptied":
+        gone.write_bytes(b"")
+    else:
+        gone.rename(away)
+    if loss == "replaced":
+        shutil.copy(away, gone)
+    for _ in range(2):  # also when it is sent again
+        for write in (lambda: store.answer(token, 1, "left", 1.0), lambda: store.begin(EXPERIMENT)):
+            with pytest.raises(DataError, match="removed or replaced while in use, so nothing is recorded; put it ba"):
+                write()
+    for read in (lambda: store.state(token), lambda: ThreadPoolExecutor(1).submit(store.state, token).result()):
+        with pytest.raises(DataError, match="removed or replaced while in use"):
+            read()  # in a new thread too, which opens the file first
+    if loss == "emptied":
+        store.close()
+        return
+    if loss == "replaced":
+        gone.unlink()
+    away.rename(gone)
+    assert store.answer(token, 1, "right", 1.0).position == 2  # it was put back
+    assert store.answer(other, 0, "right", 1.0).position == 1
+    store.close()
+
+
+def test_a_file_that_goes_away_during_a_write(store, tmp_path, monkeypatch):
+    token = ready(store)
+
+    def late():
+        store.path.rename(tmp_path / "away")
+        return "now"
+
+    monkeypatch.setattr(module, "now", late)
+    with pytest.raises(DataError, match="removed or replaced while in use"):
+        store.answer(token, 0, "left", 1.0)
+
+
+def test_no_more_begin_than_may(store):
+    for _ in range(2):
+        store.begin(EXPERIMENT, most=2)
+    with pytest.raises(FullError, match=r"^2 observers have begun, as many as may$"):
+        store.begin(EXPERIMENT, most=2)
+    assert len(store.profiles()) == 2
 
 
 def test_it_is_there_when_opened_again(plan, tmp_path):

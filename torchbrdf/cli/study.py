@@ -28,7 +28,9 @@ Serve the page of an experiment to observers. Each gets a link of their own, and
   torchbrdf study serve runs/fores2012                       experiment 1: models and error metrics
   torchbrdf study serve runs/fores2012 --experiment 2        experiment 2: models and the measured material
   torchbrdf study serve runs/fores2012 --host 0.0.0.0        for other computers of a lab's network
+  torchbrdf study serve runs/fores2012 --url https://study.example/fits     behind a proxy such as nginx
 
+Requests under other names than this computer's and the URL's are refused. Ctrl-C, SIGTERM and SIGHUP end it well.
 The words shown, and who may take part, are in RUN_DIR/study.json; answers go to RUN_DIR/study.sqlite at once.
 """
 
@@ -82,6 +84,8 @@ def add(commands: Commands) -> None:
     serve.add_argument("--experiment", help="its name (default: the first)")
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at (default 127.0.0.1: this computer)")
     serve.add_argument("--port", type=int, default=8000, help="port; 0: a free one (default 8000)")
+    serve.add_argument("--url", help="of the page, where observers come through a proxy: https://host/prefix")
+    serve.add_argument("--observers", type=int, default=1000, help="so many may begin (default 1000)")
     serve.set_defaults(command=serve_command)
 
     new = described(parts.add_parser("add", help="add an experiment to a run"), ADD)
@@ -129,7 +133,14 @@ def serve_command(options: Options) -> int:
     from torchbrdf.study.server import serve
 
     _, experiment = _experiment(options)
-    serve(Path(options.run), experiment, host=options.host, port=options.port)
+    serve(
+        Path(options.run),
+        experiment,
+        host=options.host,
+        port=options.port,
+        url=options.url,
+        observers=options.observers,
+    )
     return 0
 
 

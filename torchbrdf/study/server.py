@@ -2,27 +2,46 @@
 
 import json
 import logging
+import math
 import re
-import socket
 import sqlite3
-import struct
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from flask import Flask, Response, abort, jsonify, make_response, render_template, request
-from waitress.server import create_server
+from flask import Flask, Response, abort, jsonify, make_response, redirect, render_template, request
 from werkzeug.exceptions import HTTPException
 
-from torchbrdf.errors import DataError, TorchbrdfError, UsageError
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
+from torchbrdf.reading import read_bytes
 from torchbrdf.registry import unknown
-from torchbrdf.study.plan import PLAN, TEXTS, Plan, inside
-from torchbrdf.study.store import SIDES, STORE, IneligibleError, NotNowError, State, Store, UnknownObserverError
+from torchbrdf.study.connections import address, listening, make_server, say, stopping
+from torchbrdf.study.guard import Begins, Site
+from torchbrdf.study.pictures import find_pictures, plain_png
+from torchbrdf.study.plan import PLAN, TEXTS, Plan
+from torchbrdf.study.store import (
+    SIDES,
+    STORE,
+    FullError,
+    IneligibleError,
+    NotNowError,
+    State,
+    Store,
+    UnknownObserverError,
+)
 
 PAGES = Path(__file__).parent / "pages"
 CONTENT_TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 PORT = 8000
+# Most of them wait for the disk, which writes for all of them at once.
+THREADS = 12
+# So many may begin, if nothing else is said; so a flood does not fill the disk.
+OBSERVERS = 1000
+# Seconds after which a page tries again where the database does not work.
+AGAIN = 1.0
+MINUTE = 60.0
 # So many trials after the current one may be loaded ahead; so few that nobody can look through the study.
 AHEAD = 2
 LARGEST_BODY = 16 * 1024
@@ -65,80 +84,78 @@ HEADERS = {
     "X-Robots-Tag": "noindex",
 }
 
-# The chunks of a PNG that say how it looks; all others, such as texts, could say what it is.
-LOOKS = (b"IHDR", b"PLTE", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"sBIT", b"cICP", b"IDAT", b"IEND")
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
+def serve(
+    folder: Path | str,
+    experiment: str,
+    host: str = "127.0.0.1",
+    port: int = PORT,
+    *,
+    url: str | None = None,
+    observers: int = OBSERVERS,
+) -> None:
+    """Serve a study until Ctrl-C, SIGTERM or SIGHUP: the plan in a folder, answers into a database beside it.
 
-def serve(folder: Path | str, experiment: str, host: str = "127.0.0.1", port: int = PORT) -> None:
-    """Serve a study until Ctrl-C: the plan in a folder, answers into a database beside it. Port 0: one that is free.
-
-    A UsageError or DataError says in one line why that cannot be.
+    Port 0: one that is free. `url`: of the page for observers, where they come to it through a proxy. `observers`: so
+    many may begin. A UsageError or DataError says in one line why that cannot be.
     """
     folder = Path(folder)
+    site = Site.of(host, url)
+    if observers < 1:
+        raise UsageError(f"--observers: expected 1 or more, found {observers}")
     plan = Plan.load(folder)
-    with listening(host, port) as listener:
+    with ExitStack() as stack:
+        listener = stack.enter_context(listening(host, port))
         store = Store(folder / STORE, plan)
-        interval = sys.getswitchinterval()
-        try:
-            app = make_app(folder, experiment, store)
-            # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
-            logging.getLogger("waitress.queue").setLevel(logging.ERROR)
-            # With the usual 5 ms that threads wait for each other, answers wait for 100 ms where many come at once.
-            sys.setswitchinterval(1e-4)
-            server = create_server(
-                app,
-                sockets=[listener],
-                threads=4,
-                connection_limit=500,  # a browser has up to six
-                asyncore_use_poll=True,
-                max_request_body_size=2 * LARGEST_BODY,
-                max_request_header_size=16 * 1024,
-                ident="torchbrdf",
-            )
-            print(f"{address(host, listener.getsockname()[1])} asks observers; Ctrl-C stops", flush=True)
+        stack.callback(store.close)
+        begins = Begins() if url is None else Begins(one=None)
+        app = make_app(folder, experiment, store, site, observers=observers, begins=begins)
+        # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
+        logging.getLogger("waitress.queue").setLevel(logging.ERROR)
+        # With the usual 5 ms that threads wait for each other, answers wait for 100 ms where many come at once.
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(1e-4)
+        server = make_server(
+            app,
+            listener,
+            threads=THREADS,
+            url_prefix=site.prefix,
+            max_request_body_size=2 * LARGEST_BODY,
+            max_request_header_size=16 * 1024,
+            ident="torchbrdf",
+        )
+        here = address(host, listener.getsockname()[1])
+        stack.enter_context(stopping())
+        with store.checkpoints():
+            say(f"{here} asks observers{f', who open {site.url}' if site.url else ''}; Ctrl-C stops")
             server.run()
-            observers, answers = store.counts(experiment)
-            print(f"stopped: {observers} observers, {answers} answers in {store.path}", flush=True)
-        finally:
-            sys.setswitchinterval(interval)
-            store.close()
+        store.check_place()
+        count, answers = store.counts(experiment)
+        store.close()
+        say(f"stopped: {count} observers, {answers} answers in {store.path}")
 
 
-def listening(host: str, port: int) -> socket.socket:
-    """Open a socket that listens; a UsageError if the port is taken, or the host is not this machine."""
-    if not 0 <= port <= 65535:
-        raise UsageError(f"port: expected 0 to 65535, found {port}")
-    try:
-        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except OSError as error:
-        raise UsageError(f"cannot listen at {host}, port {port} ({error.strerror}); try another port") from None
-
-
-def address(host: str, port: int) -> str:
-    """Address to open in a browser."""
-    name = socket.gethostname() if host in ("", "0.0.0.0", "::") else host
-    return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
-
-
-def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
-    """Make the server as a WSGI application; the store has the plan."""
+def make_app(
+    folder: Path | str,
+    experiment: str,
+    store: Store,
+    site: Site | None = None,
+    *,
+    observers: int | None = None,
+    begins: Begins | None = None,
+) -> Flask:
+    """Make the server as a WSGI application; the store has the plan. How many may begin is not limited by itself."""
     plan = store.plan
     plan.experiment(experiment)
+    site = Site() if site is None else site
     pictures = find_pictures(plan, Path(folder))
-    for key, allowed in plan.screening.items():
-        choices = REPORTS.get(key)
-        if choices is None:
-            raise unknown("self-report to screen by", key, [key for key, choices in REPORTS.items() if choices])
-        for choice in allowed:
-            if choice not in choices:
-                raise unknown(f"answer to {key}", choice, choices)
+    check_screening(plan, Path(folder) / PLAN)
+    texts = {key: paragraphs(plan, key, Path(folder) / PLAN) for key in TEXTS}
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
     app.url_map.merge_slashes = False  # a climbing path is not put right, but refused
     parts = {path.name: path for path in PAGES.iterdir() if path.suffix in CONTENT_TYPES}
-    texts = {key: re.split(r"\n\s*\n", plan.text(key).strip()) for key in TEXTS}
     largest = [max(sizes) for sizes in zip(*(size for _, size in pictures.values()), strict=True)]
 
     def page(own: bool) -> str:
@@ -160,7 +177,11 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
     def begin() -> tuple[Response, int]:
         if json_body("agreed")["agreed"] is not True:
             abort(400, "agreed: expected true")
-        return jsonify(link=f"/o/{store.begin(experiment)}"), 201
+        wait = 0.0 if begins is None else begins.wait(request.remote_addr or "")
+        if wait:
+            app.logger.warning("more people begin than may at once; some are asked to wait")
+            return later(429, "too many begin just now; please try again soon", wait), 429
+        return jsonify(link=f"/o/{store.begin(experiment, observers)}"), 201
 
     @app.get("/o/<token>")
     def own(token: str) -> str:
@@ -207,17 +228,36 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
         now = store.state(token)
         if now.stage != "trials" or not now.position <= trial <= min(now.position + AHEAD, now.trials - 1):
             abort(403, "this picture is not to be seen now")
-        shown = store.trial(now, trial)
-        path, _ = pictures[shown.material, None if what == "reference" else getattr(shown, what)]
-        found = Response(plain_png(path.read_bytes(), path), content_type="image/png")
+        asked = store.trial(now, trial)
+        path, _ = pictures[asked.material, None if what == "reference" else getattr(asked, what)]
+        found = Response(plain_png(read_bytes(path, "a PNG"), path), content_type="image/png")
         found.headers["Cache-Control"] = "private, max-age=3600"
         return found
 
-    app.before_request(same_origin)
+    @app.before_request
+    def check_page() -> Response | None:
+        host = request.headers.get("Host")  # None: no browser
+        if host is not None and not site.knows(host):
+            app.logger.warning(
+                "refused a request for %s, which is no name of this server; if it is one, say so: --url", shown(host)
+            )
+            abort(400, "this server does not go by that name")
+        if request.method not in ("GET", "HEAD"):
+            origin = request.headers.get("Origin")
+            if not site.sent(host or "", origin, request.headers.get("Sec-Fetch-Site")):
+                app.logger.warning(
+                    "refused what a page at %s sends; if observers come through a proxy, say so: --url", shown(origin)
+                )
+                abort(403, "expected a request from this page")
+        if request.environ["PATH_INFO"] == "":  # so that relative links are right
+            return make_response(redirect(f"{site.prefix}/", 308))
+        return None
+
     app.after_request(security_headers)
     app.register_error_handler(HTTPException, lambda error: problem(error.code or 500, error.description or error.name))
     app.register_error_handler(UnknownObserverError, lambda error: problem(404, str(error)))
     app.register_error_handler(IneligibleError, lambda error: problem(403, str(error)))
+    app.logger.addFilter(Seldom())
 
     @app.errorhandler(NotNowError)
     def not_now(error: NotNowError) -> Response:
@@ -229,38 +269,53 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
     @app.errorhandler(OSError)
     @app.errorhandler(TorchbrdfError)
     def broken(error: Exception) -> Response:
-        app.logger.error("%s", error)
-        return problem(503, "this does not work just now")  # the page tries again
+        app.logger.error(str(error).replace("%", "%%"))
+        return later(503, "this does not work just now", AGAIN)  # the page tries again
+
+    @app.errorhandler(FullError)
+    def full(error: FullError) -> Response:
+        app.logger.error("nobody else can begin: %s; --observers raises that", error)
+        return problem(403, "This study has all the observers that it needs. Thank you for your interest.")
 
     return app
 
 
-def find_pictures(plan: Plan, folder: Path) -> dict[tuple[str, str | None], tuple[Path, tuple[int, int]]]:
-    """The file and the size of each material's reference, under None, and of its stimuli."""
-    found = {}
-    for material in plan.materials:
-        names = {None: material.reference} | {name: one.picture for name, one in material.stimuli.items()}
-        for name, picture in names.items():
-            path = inside(folder, picture, folder / PLAN)
-            with path.open("rb") as file:
-                head = file.read(24)
-            if len(head) < 24 or not head.startswith(SIGNATURE):
-                raise DataError(f"{path}: expected a PNG, found something else")
-            found[material.name, name] = (path, struct.unpack(">II", head[16:]))
-    return found
+def check_screening(plan: Plan, path: Path) -> None:
+    """A DataError if a plan screens by what nobody is asked, or by an answer that nobody can give."""
+    for key, allowed in plan.screening.items():
+        choices = REPORTS.get(key)
+        if choices is None:
+            known = [name for name, choices in REPORTS.items() if choices]
+            raise DataError(f"{path}: {unknown('self-report to screen by', key, known)}")
+        for choice in allowed:
+            if choice not in choices:
+                raise DataError(f"{path}: {unknown(f'answer to {key}', str(choice), choices)}")
 
 
-def plain_png(data: bytes, path: Path) -> bytes:
-    """Strip a PNG of all that is not needed to show it."""
-    kept, at = [data[:8]], 8
-    while at + 12 <= len(data):
-        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
-        if data[at + 4 : at + 8] in LOOKS:
-            kept.append(data[at:end])
-        at = end
-    if not data.startswith(SIGNATURE) or at != len(data) or kept[-1][4:8] != b"IEND":
-        raise DataError(f"{path}: expected a whole PNG, found something else")
-    return b"".join(kept)
+def paragraphs(plan: Plan, key: str, path: Path) -> list[str]:
+    """A text that is shown to observers; an empty line parts paragraphs."""
+    text = plan.text(key)
+    if not isinstance(text, str):
+        raise DataError(f"{path}: texts: {key}: expected text, found {shown(text)}")
+    return re.split(r"\n\s*\n", text.strip())
+
+
+class Seldom(logging.Filter):
+    """Lets what is said the same way through once a minute: pages try again and again."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to say it."""
+        said = self._said.get(record.msg, -MINUTE)
+        if record.created - said < MINUTE:
+            return False
+        if len(self._said) > 100:
+            self._said.clear()
+        self._said[record.msg] = record.created
+        return True
 
 
 def state_json(state: State) -> dict[str, Any]:
@@ -289,13 +344,6 @@ def number(record: Mapping[str, Any], key: str, low: float, high: float) -> floa
     return float(value)
 
 
-def same_origin() -> None:
-    """Refuse what a page of another site sends."""
-    origin = request.headers.get("Origin")
-    if request.method not in ("GET", "HEAD") and origin is not None and origin.partition("://")[2] != request.host:
-        abort(403, "expected a request from this page")
-
-
 def security_headers(response: Response) -> Response:
     """Add the headers that keep the link secret and the page out of frames."""
     response.headers.update(HEADERS)
@@ -308,3 +356,10 @@ def problem(status: int, text: str, **more: Any) -> Response:
     person = request.method == "GET" and not request.path.endswith("/state")
     body = Response(f"{text}\n", content_type="text/plain; charset=utf-8") if person else jsonify(error=text, **more)
     return make_response(body, status)
+
+
+def later(status: int, text: str, seconds: float) -> Response:
+    """Response that says what is wrong, and when to try again."""
+    response = problem(status, text)
+    response.headers["Retry-After"] = str(math.ceil(seconds))
+    return response

@@ -4,9 +4,8 @@ import hashlib
 import json
 import secrets
 import sqlite3
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,15 +13,13 @@ from typing import Any, Literal
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.study.answers import Answer
+from torchbrdf.study.database import Database
 from torchbrdf.study.design import Trial, observer_seed, trials
 from torchbrdf.study.plan import PLAN, Plan
 
 STORE = "study.sqlite"
 SIDES = ("left", "right")
 Stage = Literal["questions", "screen", "trials", "done", "screened"]
-
-# How long a write waits for that of another process, in seconds.
-PATIENCE = 10.0
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS plans (experiment TEXT PRIMARY KEY, fingerprint TEXT NOT NULL);
@@ -68,6 +65,10 @@ class NotNowError(UsageError):
     """Error: something that is not what an observer is to do now, such as an answer given before."""
 
 
+class FullError(UsageError):
+    """Error: someone who wants to begin when as many as may have begun."""
+
+
 class IneligibleError(UsageError):
     """Error: a trial for someone whose self-reports screen them out."""
 
@@ -91,31 +92,31 @@ class Store:
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
         self.path, self.plan = Path(path), plan
-        self._own = threading.local()
-        self._opened: list[sqlite3.Connection] = []
-        # Threads queue here, since SQLite's own waiting sleeps for longer and longer.
-        self._writer = threading.Lock()
         try:
-            with self._writing() as db:
-                for statement in SCHEMA.split(";"):
-                    db.execute(statement)
-                for (name,) in db.execute("SELECT experiment FROM plans").fetchall():
-                    self._check(db, name)
+            self._database = Database(self.path, SCHEMA)
         except sqlite3.Error as error:
-            self.close()
             raise DataError(f"{self.path}: expected the database of a study that can be written ({error})") from None
-        except DataError:
+        try:
+            for (name,) in self._read("SELECT experiment FROM plans").fetchall():
+                self._check(self._database.connection(), name)
+        except BaseException:
             self.close()
             raise
 
-    def begin(self, experiment: str) -> str:
-        """Begin with a new observer, who has consented: gives the token of their link. Their trials are fixed now."""
+    def begin(self, experiment: str, most: int | None = None) -> str:
+        """Begin with a new observer, who has consented: gives the token of their link. Their trials are fixed now.
+
+        A FullError if `most` observers of the experiment have begun.
+        """
         asked = self.plan.experiment(experiment)
         token = secrets.token_urlsafe(16)
-        with self._writing() as db:
+
+        def record(db: sqlite3.Connection) -> str:
             db.execute("INSERT OR IGNORE INTO plans VALUES (?, ?)", (experiment, fingerprint(self.plan, experiment)))
             self._check(db, experiment)
             (number,) = db.execute("SELECT COUNT(*) FROM observers WHERE experiment = ?", (experiment,)).fetchone()
+            if most is not None and number >= most:
+                raise FullError(f"{number} observers have begun, as many as may")
             shown = trials(self.plan, asked, number)
             # As text, since a seed may be beyond 64 bits.
             row = (token, experiment, number, str(observer_seed(self.plan, number)), len(shown), now())
@@ -127,15 +128,17 @@ class Store:
                 "INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?)",
                 [(made.lastrowid, k, one.material, one.left, one.right, one.kind) for k, one in enumerate(shown)],
             )
-        return token
+            return token
+
+        return self._database.write(record)
 
     def state(self, token: str) -> State:
         """State of an observer, by their link's token."""
-        return _state(self._connection(), token)
+        return _state(self._database.connection(), token)
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
-        row = self._connection().execute(
+        row = self._read(
             "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
             (state.observer, position),
         )
@@ -143,7 +146,8 @@ class Store:
 
     def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
-        with self._writing() as db:
+
+        def record(db: sqlite3.Connection) -> State:
             state = _state(db, token)
             if state.stage != "questions":
                 raise NotNowError("the questions are answered already")
@@ -151,16 +155,21 @@ class Store:
                 "UPDATE observers SET reports = ?, let_in = ? WHERE id = ?",
                 (json.dumps(reports), eligible, state.observer),
             )
-        return replace(state, stage="screen" if eligible else "screened")
+            return replace(state, stage="screen" if eligible else "screened")
+
+        return self._database.write(record)
 
     def record_screen(self, token: str, screen: Mapping[str, Any]) -> State:
         """Record what an observer's screen is like, once."""
-        with self._writing() as db:
+
+        def record(db: sqlite3.Connection) -> State:
             state = _state(db, token)
             if state.stage != "screen":
                 raise NotNowError("the screen is not to be checked now")
             db.execute("UPDATE observers SET screen = ? WHERE id = ?", (json.dumps(screen), state.observer))
-        return replace(state, stage="trials")
+            return replace(state, stage="trials")
+
+        return self._database.write(record)
 
     def answer(self, token: str, position: int, side: str, response_time: float) -> State:
         """Record the answer to an observer's current trial, and no other; gives the state after it.
@@ -169,7 +178,8 @@ class Store:
         """
         if side not in SIDES:
             raise UsageError(f"side: expected left or right, found {side!r}")
-        with self._writing() as db:
+
+        def record(db: sqlite3.Connection) -> State:
             state = _state(db, token)
             if state.stage == "screened":
                 raise IneligibleError("there are no trials for you")
@@ -177,12 +187,14 @@ class Store:
                 raise NotNowError("this is not the trial to answer now")
             row = (state.observer, position, side, float(response_time), now())
             db.execute("INSERT INTO answers VALUES (?, ?, ?, ?, ?)", row)
-        answered = position + 1
-        return replace(state, position=answered, stage="trials" if answered < state.trials else "done")
+            answered = position + 1
+            return replace(state, position=answered, stage="trials" if answered < state.trials else "done")
+
+        return self._database.write(record)
 
     def answers(self, experiment: str | None = None) -> list[Answer]:
         """All answers, observer by observer, each in the order given; of one experiment, or of all."""
-        rows = self._connection().execute(
+        rows = self._read(
             "SELECT observers.id, experiment, material, left, right, side, response_time, time_stamp, seed, kind"
             " FROM answers JOIN observers ON observers.id = answers.observer"
             " JOIN trials ON trials.observer = answers.observer AND trials.position = answers.position"
@@ -196,7 +208,7 @@ class Store:
 
     def profiles(self) -> list[dict[str, Any]]:
         """Profiles of observers; `reports`, `screen` and `let_in` are None before they said so."""
-        rows = self._connection().execute(
+        rows = self._read(
             "SELECT id, experiment, number, seed, consented, let_in, reports, screen, trials,"
             " (SELECT COUNT(*) FROM answers WHERE observer = observers.id) FROM observers ORDER BY id"
         )
@@ -218,7 +230,7 @@ class Store:
 
     def counts(self, experiment: str) -> tuple[int, int]:
         """Counts of an experiment's observers and of its answers."""
-        both = self._connection().execute(
+        both = self._read(
             "SELECT (SELECT COUNT(*) FROM observers WHERE experiment = ?), (SELECT COUNT(*) FROM answers"
             " JOIN observers ON observers.id = answers.observer WHERE experiment = ?)",
             (experiment, experiment),
@@ -226,12 +238,20 @@ class Store:
         observers, answers = both.fetchone()
         return observers, answers
 
+    def checkpoints(self) -> AbstractContextManager[None]:
+        """Within the block, a copy of the file alone, without its log, holds all but the last moments."""
+        return self._database.checkpoints()
+
+    def check_place(self) -> None:
+        """A DataError if the file was removed or replaced since it was opened."""
+        self._database.check_place()
+
     def close(self) -> None:
         """Close the connections of all threads; none may be at work."""
-        for connection in self._opened:
-            connection.close()
-        self._opened.clear()
-        self._own = threading.local()
+        self._database.close()
+
+    def _read(self, statement: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
+        return self._database.connection().execute(statement, values)
 
     def _check(self, db: sqlite3.Connection, experiment: str) -> None:
         """A DataError if observers of an experiment began with another plan."""
@@ -241,32 +261,6 @@ class Store:
                 f"{self.path}: experiment {experiment!r} was begun with other materials, stimuli or seed "
                 f"than {PLAN} has now; restore {PLAN}, or move {self.path.name} away"
             )
-
-    def _connection(self) -> sqlite3.Connection:
-        """This thread's own."""
-        found: sqlite3.Connection | None = getattr(self._own, "connection", None)
-        if found is None:
-            # isolation_level: transactions are those that are written here. Others' threads only ever close it.
-            found = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
-            self._opened.append(found)
-            found.execute("PRAGMA journal_mode = WAL")
-            found.execute("PRAGMA synchronous = FULL")
-            found.execute("PRAGMA foreign_keys = ON")
-            self._own.connection = found
-        return found
-
-    @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that no other write comes into; on the disk when the block ends, undone if that raises."""
-        with self._writer:
-            db = self._connection()
-            db.execute("BEGIN IMMEDIATE")
-            try:
-                yield db
-                db.execute("COMMIT")
-            finally:
-                if db.in_transaction:
-                    db.execute("ROLLBACK")
 
 
 def fingerprint(plan: Plan, experiment: str) -> str:

@@ -89,8 +89,8 @@ function prepare() {
 
 if (at("landing")) {
   onSubmit(at("consent"), async () => {
-    const { link: own, error } = await send("/begin", { agreed: true });
-    if (own) location.replace(own);
+    const { link: own, error } = await send("begin", { agreed: true });
+    if (own) location.replace(`.${own}`);  // a proxy may have put a prefix before it
     else say(error);
   });
 } else {
