@@ -25,6 +25,11 @@ def worker() -> Iterator[Worker]:
         yield found
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
 def test_every_reader_is_listed() -> None:
     assert set(NAMES) == set(readers())
 
@@ -45,10 +50,12 @@ def test_as_many_as_are_promised() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_same_number_makes_the_same_input(name: str, tmp_path: Path) -> None:
-    one, other = (made(readers(), name, tmp_path / at, 1, 2) for at in "ab")
+def test_the_same_number_makes_the_same_input(name: str, folder: Path, tmp_path: Path) -> None:
+    one = made(readers(), name, folder, 1, 2)
+    (tmp_path / "valid").symlink_to(folder / "valid")  # made once: some of it holds the time
+    other = made(readers(), name, tmp_path, 1, 2)
     assert one.name == other.name and _kind(one) == _kind(other)
-    if one.is_file() and name not in ("store", "exr"):  # which hold the time, or are written by a library that does
+    if one.is_file():
         assert one.read_bytes() == other.read_bytes()
 
 

@@ -151,7 +151,8 @@ def zip_of(found: dict[str, bytes], *, compressed: bool = False) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED) as made:
         for name, content in found.items():
-            made.writestr(name, content)
+            info = zipfile.ZipInfo(name)  # which has one date always
+            made.writestr(info, content, made.compression)
     return stream.getvalue()
 
 
@@ -220,7 +221,7 @@ def mat(source: Random, data: bytes) -> bytes:
         savemat(stream, found, do_compression=source.random() < 0.5)
     except Exception as error:
         raise ValueError("nothing that a MAT file can say") from error
-    return stream.getvalue()
+    return b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:]  # where it says when it was made
 
 
 def _refuse() -> list[str]:
