@@ -1,0 +1,118 @@
+"""Measured BRDFs, fits in their place, and learned metrics."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import torch
+from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
+
+from fuzzing.changes.byte import TEXT
+from fuzzing.changes.of_arrays import bsdf
+from fuzzing.changes.of_formats import merl
+from fuzzing.changes.of_json import JSON
+from fuzzing.readers import Reader
+from fuzzing.sane import check_brdf, check_finite, check_line, check_name, check_pairs, expect, later
+from torchbrdf import load
+from torchbrdf.fitting.batches import Batches
+from torchbrdf.fitting.result import write_fits_csv
+from torchbrdf.lobes import LOBES, FitRecord, make_model, model_of, parameters, read_fits, write_fits
+from torchbrdf.losses import LearnedLoss, RMSLoss
+
+
+def make_merl(folder: Path) -> None:
+    write_raw_merl(folder / "fuzzed.binary", synthetic_raw(0))
+
+
+def make_rgl(folder: Path) -> None:
+    (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
+
+
+def use_measured(path: Path) -> None:
+    """As a fit and a picture use it: some samples, and values anywhere."""
+    measured = load(path, dtype=torch.float64)
+    for name in measured.names:
+        check_name(name, "name")
+    sampled = measured.batch(range(min(2, len(measured))), samples=torch.arange(min(300, measured.pairs.shape[-1])))
+    valid = sampled.weight > 0
+    check_finite(sampled.weight, "weight")
+    check_finite(sampled.values[valid.expand_as(sampled.values)], "values")
+    found = sampled.at(check_pairs())
+    check_finite(found, "at")
+    if measured.source.format != "rgl":  # whose negative channels, colours out of gamut, are kept
+        check_brdf(found, "at")
+
+
+def records() -> list[FitRecord]:
+    """A fit with every lobe."""
+    found = []
+    for k, name in enumerate(LOBES):
+        if name == "lambert":
+            continue
+        found.append(
+            FitRecord(
+                f"material-{k}", name, 1, parameters(make_model(name, 1)), loss="rms", strategy="global", error=0.01,
+                subset_error=0.02, status="converged", reason="", starts=7, ties=1, at_bounds=["roughness[0] = 0.5"],
+                seconds=0.5, max_theta=80.0, samples=200, seed=0, diffuse="45:0", iterations=12,
+                errors={"rms": 0.01, "log": 0.3}, outlier=False, differences={"flip": 0.1},
+                pictures={"a": {"flip": 0.2}},
+            )
+        )  # fmt: skip
+    return found
+
+
+def make_fits(folder: Path) -> None:
+    write_fits(folder / "fits.json", records())
+
+
+def make_ward(folder: Path) -> None:
+    write_fits(folder / "fits.json", [record for record in records() if record.model == "ward"])
+
+
+def use_fits(path: Path) -> None:
+    """As pages and tables use it: names, numbers, each model's values, and the files again."""
+    found = read_fits(path)
+    pairs = check_pairs().to(dtype=torch.float32)
+    for record in found:
+        check_name(record.material, "material")
+        for name in ("model", "loss", "strategy", "status", "diffuse"):
+            check_line(getattr(record, name), name)
+        expect(record.error != float("inf"), "error is infinite")
+        with later(), torch.no_grad():
+            check_brdf(model_of([record])(pairs), "values of the model")
+    write_fits(path.parent / "again.json", found)
+    write_fits_csv(path.parent / "again.csv", found)
+    again = [record.material for record in read_fits(path.parent / "again.json")]
+    expect(again == [record.material for record in found], "written again it is another")
+
+
+def use_continued(path: Path) -> None:
+    """As a fit that is taken up uses it."""
+    batches = Batches(make_model("ward", 1), RMSLoss(), out=path.parent, samples=200, max_theta=80.0, seed=0)
+    for name, record in batches.done.items():
+        check_name(name, "material")
+        expect((record.model, record.lobes, record.loss) == ("ward", 1, "rms"), "another fit was taken up")
+
+
+def make_metric(folder: Path) -> None:
+    bundled = files("torchbrdf.assets") / "learned_metric.json"
+    (folder / "metric.json").write_bytes(bundled.read_bytes())
+
+
+def use_metric(path: Path) -> None:
+    """Distances of two materials, and of one from itself."""
+    loss, pairs = LearnedLoss("none", weights=path), check_pairs()
+    values = torch.linspace(0.01, 2, 3 * len(pairs), dtype=torch.float64).reshape(1, -1, 3)
+    far, none = loss(values, values.flip(1), pairs), loss(values, values, pairs)
+    check_finite(far, "distance")
+    expect(bool((far >= 0).all()) and bool((none == 0).all()), "distances from itself, or below 0")
+    check_line(str(loss), "repr")
+
+
+READERS = (
+    Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
+    Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
+    Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
+    Reader("continued", "fits.json", make_ward, use_continued, (*JSON, *TEXT)),
+    Reader("metric", "metric.json", make_metric, use_metric, (*JSON, *TEXT)),
+)
