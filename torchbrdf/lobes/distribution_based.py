@@ -9,6 +9,7 @@ from torchbrdf.lobes._microfacet import v_groove
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.fresnel import fresnel
 from torchbrdf.pairs import Pairs
+from torchbrdf.roots import safe_sqrt
 
 NODES = 90
 
@@ -40,7 +41,7 @@ def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor
         tensor([[0.0814, 0.0814, 0.0814]])
     """
     nodes = distribution.shape[-2]
-    position = (pairs.theta_h / (math.pi / 2)).clamp(0, 1).sqrt() * nodes - 0.5
+    position = safe_sqrt((pairs.theta_h / (math.pi / 2)).clamp(0, 1)) * nodes - 0.5
     position = position.clamp(0, nodes - 1)
     low = position.floor().clamp_max(nodes - 2).to(torch.long)
     share = (position - low)[..., None]

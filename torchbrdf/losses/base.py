@@ -13,6 +13,7 @@ from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
+from torchbrdf.roots import safe_sqrt
 
 LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
 # Names of before, which fits.json and commands may still have.
@@ -265,12 +266,6 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
 def version(x: Tensor) -> int:
     """Changes with the tensor's content; those of inference mode have none, and cannot change outside it."""
     return -1 if torch.compiler.is_compiling() or x.is_inference() else x._version
-
-
-def safe_sqrt(x: Tensor) -> Tensor:
-    """Square root with gradient 0 at 0, where the true one is infinite."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1).sqrt(), torch.where(x < 0, torch.nan, x))
 
 
 def _shapes(prediction: Tensor, target: Tensor) -> str:

@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.losses.base import Loss, safe_sqrt, version
+from torchbrdf.losses.base import Loss, version
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_sqrt
 
 # A bin that holds less than this share of the pairs fades instead of saying much about little.
 SHRINKAGE = 1e-3

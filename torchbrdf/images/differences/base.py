@@ -9,6 +9,7 @@ from torchbrdf.color import safe_power
 from torchbrdf.errors import ShapeError
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
+from torchbrdf.roots import safe_norm
 
 DIFFERENCES: Registry[type["Difference"]] = Registry(
     "difference", "torchbrdf.images.differences", "torchbrdf.differences"
@@ -158,7 +159,7 @@ class PixelDifference(Difference):
         difference = self.encode(image) - self.encode(reference)
         if self.power == 2:
             return masked_mean(difference.square().mean(-1), mask)
-        return masked_mean(torch.linalg.vector_norm(difference, dim=-1), mask)
+        return masked_mean(safe_norm(difference), mask)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from torchbrdf.images.differences.base import (
     masked_mean,
 )
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_norm
 
 # Linear sRGB to XYZ, IEC 61966-2-1, exact, as the source has it; kornia's is rounded. Relative to white, (1, 1, 1).
 _XYZ = torch.tensor(
@@ -125,7 +126,7 @@ class FLIP(Difference):
             strengths = []
             for picture in (first, second):
                 both = torch.cat([_convolved(picture, smooth, taps), _convolved(picture, taps, smooth)], 1)
-                strengths.append(torch.linalg.vector_norm(both, dim=1))
+                strengths.append(safe_norm(both, dim=1))
             changes.append((strengths[0] - strengths[1]).abs())
         return safe_power(torch.maximum(*changes) / math.sqrt(2), _FEATURE_POWER)
 
@@ -208,4 +209,4 @@ def _perceived(opponent: Tensor) -> Tensor:
 def _hyab(first: Tensor, second: Tensor) -> Tensor:
     """|dL| + sqrt(da^2 + db^2), `(B, H, W)`, of `(B, 3, H, W)`; its gradient is 0 where a term is 0."""
     apart = first - second
-    return apart[:, 0].abs() + torch.linalg.vector_norm(apart[:, 1:], dim=1)
+    return apart[:, 0].abs() + safe_norm(apart[:, 1:], dim=1)
