@@ -27,8 +27,8 @@ class Pairs:
     [0, pi). Quantities that were not given are derived at first use and kept. dtype and device are the inputs'; what is
     derived of half precision is computed in float32.
 
-    Gradients by directions, angles and cosines are finite wherever the quantities are. Where there is no gradient, or an
-    infinite one, as at the tip of the cone theta_h over directions with h = n, it is 0.
+    Gradients by directions, angles and cosines are finite wherever the quantities are: 0 where there is none, or an
+    infinite one, as at the tip of the cone theta_h over directions, h = n, or for opposite directions.
 
     tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1.
 

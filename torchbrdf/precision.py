@@ -1,7 +1,7 @@
 """Half precision and torch's modes: results do not depend on them, where work is done in float32 and without modes."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
 from torch import Tensor
@@ -21,19 +21,19 @@ def widened(values: Tensor) -> Tensor:
     return values.float() if values.dtype in HALVES else values
 
 
-def without_autocast(device: torch.device) -> AbstractContextManager[object]:
-    """What turns autocast off on a device, if it is on: matrix products and convolutions would be in half precision.
+def without_autocast(device: str) -> AbstractContextManager[object]:
+    """What turns autocast off on a kind of device, if it is on: matrix products would be in half precision.
 
     Example:
         >>> import torch
         >>> one = torch.ones(1, 1)
-        >>> with torch.autocast("cpu"), without_autocast(one.device):
+        >>> with torch.autocast("cpu"), without_autocast("cpu"):
         ...     (one @ one).dtype
         torch.float32
     """
-    if device.type == "meta" or not torch.is_autocast_enabled(device.type):
+    if device == "meta" or not torch.is_autocast_enabled(device):
         return nullcontext()
-    return torch.autocast(device.type, enabled=False)
+    return torch.autocast(device, enabled=False)
 
 
 @contextmanager
@@ -48,8 +48,5 @@ def undisturbed() -> Iterator[None]:
         ...     torch.ones(1).is_inference()
         False
     """
-    with ExitStack() as modes:
-        modes.enter_context(torch.inference_mode(False))
-        for kind in ("cpu", "cuda"):
-            modes.enter_context(without_autocast(torch.device(kind)))
+    with torch.inference_mode(False), without_autocast("cpu"), without_autocast("cuda"):
         yield

@@ -197,7 +197,7 @@ def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta
 def _counts(problem: Problem) -> Tensor:
     """Valid values of each material, `(M,)`."""
     if problem.weight is None:
-        return torch.full((len(problem.target),), problem.target.shape[1:].numel())
+        return torch.full((len(problem.target),), problem.target.shape[1:].numel(), dtype=torch.int64, device="cpu")
     return (problem.weight > 0).expand(len(problem.target), -1, problem.target.shape[-1]).sum((1, 2)).cpu()
 
 

@@ -7,10 +7,12 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, log_secant
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tensor) -> Tensor:
     """The isotropic Ashikhmin-Shirley lobe: specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
 

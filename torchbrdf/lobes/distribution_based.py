@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import v_groove
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_sqrt
@@ -14,6 +15,7 @@ from torchbrdf.roots import safe_sqrt
 NODES = 90
 
 
+@half_in_float32
 def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor:
     """A microfacet lobe with a tabulated distribution for each channel: D(theta_h) G F / (4 cos_i cos_o).
 

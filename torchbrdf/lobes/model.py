@@ -120,9 +120,10 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         )
     try:
         lists = {
-            key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.parameter_specs
+            key: [torch.tensor(value, dtype=torch.float64, device="cpu") for value in values[key]]
+            for key in kind.parameter_specs
         }
-        diffuse = torch.tensor(values[DIFFUSE_KEY], dtype=torch.float64)
+        diffuse = torch.tensor(values[DIFFUSE_KEY], dtype=torch.float64, device="cpu")
     except (TypeError, ValueError) as error:
         raise DataError(f"parameters of {name}: expected numbers, found something else ({error})") from None
     counts = {len(entries) for entries in lists.values()}

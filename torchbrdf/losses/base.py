@@ -11,6 +11,7 @@ from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import widened
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 from torchbrdf.roots import safe_sqrt
@@ -20,8 +21,6 @@ LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf
 LOSSES.alias("cosine", "cosine_rms")
 LOSSES.alias("cuberoot", "cube_root")
 LOSSES.alias("solid_angle_cosine", "solid_angle_cosine_rms")
-
-HALVES = (torch.float16, torch.bfloat16)
 
 
 class Loss(nn.Module):
@@ -210,14 +209,8 @@ class Loss(nn.Module):
         return kept[3]
 
     def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
-        """Values of half precision in float32: they are stored so, but hold too little to be worked with."""
-        if prediction.dtype in HALVES:
-            prediction = prediction.float()
-        if target.dtype in HALVES:
-            target = target.float()
-        if self.needs and pairs is not None and pairs.dtype in HALVES:
-            pairs = pairs.to(dtype=torch.float32)
-        return prediction, target, pairs
+        """Values of half precision in float32."""
+        return widened(prediction), widened(target), pairs.widened() if self.needs and pairs is not None else pairs
 
     def extra_repr(self) -> str:
         """The arguments of the constructor that are not the defaults."""

@@ -9,7 +9,6 @@ from torchbrdf.losses.base import LOSSES
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.pairs import Pairs
 
-
 # Radians that angles are kept from 0, and theta_d from 90 degrees: all of no solid angle would have no mean.
 NARROWEST = 1e-6
 
