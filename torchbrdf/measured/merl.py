@@ -20,6 +20,7 @@ from torchbrdf.measured.catalogue import merl_name
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import undisturbed
 
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)
@@ -231,6 +232,7 @@ def write_raw(path: str | Path, raw: np.ndarray) -> None:
 
 
 @lru_cache(1)
+@undisturbed()
 def bin_centers() -> Pairs:
     """Directions of the centres of MERL's bins, `(1, N)`, in the order of the table.
 
@@ -243,6 +245,7 @@ def bin_centers() -> Pairs:
 
 
 @lru_cache(1)
+@undisturbed()
 def _bin_rows() -> Tensor:
     return torch.from_numpy(np.flatnonzero(_above()))
 
