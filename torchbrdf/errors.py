@@ -1,8 +1,17 @@
 """What torchbrdf raises: every message says what, where, expected and found, in one line."""
 
+# So that a message fits into a terminal's few lines whatever a file holds.
+LONGEST_MESSAGE = 300
+
 
 class TorchbrdfError(Exception):
-    """Base of everything that torchbrdf raises on purpose; the command line prints it without a traceback."""
+    """Base of everything that torchbrdf raises on purpose; the command line prints it without a traceback.
+
+    A message is made one line of printable characters, and at most `LONGEST_MESSAGE` of them.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
 
 
 class ShapeError(TorchbrdfError, ValueError):
@@ -15,3 +24,46 @@ class DataError(TorchbrdfError, ValueError):
 
 class UsageError(TorchbrdfError, ValueError):
     """A name, an option or a setting that does not exist or has a wrong type."""
+
+
+def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
+    r"""Text as one line of printable characters, shortened in its middle.
+
+    Args:
+        text: What to say.
+        longest: How many characters it may have.
+
+    Example:
+        >>> from torchbrdf.errors import one_line
+        >>> one_line("red\x1b[31m\n  next line"), one_line("0123456789", 8)
+        ('red\\x1b[31m next line', '01 ... 9')
+    """
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    if len(line) <= longest:
+        return line
+    # The start says where, the end what was found.
+    tail = (longest - 5) // 3
+    return f"{line[: longest - 5 - tail]} ... {line[len(line) - tail :]}"
+
+
+def shown(value: object, longest: int = 60) -> str:
+    """What was found, as an error says it: its repr in one short line.
+
+    Args:
+        value: Anything, also what a file held.
+        longest: How many characters it may have.
+
+    Example:
+        >>> from torchbrdf.errors import shown
+        >>> shown("nickel"), len(shown(list(range(1000))))
+        ("'nickel'", 60)
+    """
+    if isinstance(value, str | bytes):
+        value = value[: 2 * longest]  # a repr of all of it could take long
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # nested without end; a whole number of too many digits
+        text = type(value).__name__
+    return one_line(text, longest)

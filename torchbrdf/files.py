@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -65,6 +66,8 @@ def _finite(value: Any) -> Any:
 def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
     r"""Rows as CSV: a line a row, a column for each key that any row has, in the order in which they first appear.
 
+    A text that a spreadsheet would take for a formula gets an apostrophe before it, as `quoted` has it.
+
     Example:
         >>> csv_text([{"name": "nickel", "error": 0.5}, {"name": "nylon"}])
         'name,error\nnickel,0.5\nnylon,\n'
@@ -73,8 +76,34 @@ def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({key: quoted(value) for key, value in row.items()} for row in rows)
     return text.getvalue()
+
+
+# What spreadsheets take for a formula, and what was written for one: so `unquoted` always finds the same text.
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+
+
+def quoted(value: Any) -> Any:
+    """A cell of a CSV file: a text that spreadsheets would run as a formula with an apostrophe before it.
+
+    Source: OWASP, CSV Injection, https://owasp.org/www-community/attacks/CSV_Injection.
+
+    Example:
+        >>> quoted("=1+1"), quoted("nickel"), quoted(-1.5)
+        ("'=1+1", 'nickel', -1.5)
+    """
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
+
+
+def unquoted(text: str) -> str:
+    """The text that `quoted` made a cell of.
+
+    Example:
+        >>> unquoted("'=1+1"), unquoted("nickel"), unquoted(quoted("'=1"))
+        ('=1+1', 'nickel', "'=1")
+    """
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 def write_csv(path: Path | str, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -1,0 +1,93 @@
+"""Names of materials and stimuli: what may be one, and how it is written into paths and pictures."""
+
+import hashlib
+import re
+import unicodedata
+
+from torchbrdf.errors import DataError, shown
+
+# A file system takes 255 bytes; some are left for what comes before and behind.
+LONGEST_NAME = 200
+
+
+def check_name(name: object, where: str) -> str:
+    """A name that is one: text of one printable line, that no file system takes for a path.
+
+    Args:
+        name: What a file or a caller gives.
+        where: What to call it in an error.
+
+    Returns:
+        The name.
+
+    Raises:
+        DataError: It is no text, empty, too long, begins or ends with a space, has `/` or a backslash, is `.` or
+            `..`, or has characters that are not to be seen.
+
+    Example:
+        >>> from torchbrdf.names import check_name
+        >>> check_name("gold-metallic-paint2", "fits.json: fit 0: material")
+        'gold-metallic-paint2'
+    """
+    if isinstance(name, str) and name == clean_name(name):
+        return name
+    raise DataError(f"{where}: expected a name (one line, no path, at most {LONGEST_NAME} bytes), found {shown(name)}")
+
+
+def clean_name(text: str) -> str:
+    r"""The name that comes closest to a text, such as the stem of a file.
+
+    Args:
+        text: Anything, also what the system gives for a path that is no UTF-8.
+
+    Returns:
+        A name that `check_name` accepts.
+
+    Example:
+        >>> from torchbrdf.names import clean_name
+        >>> clean_name("blue/acrylic\n"), clean_name("..")
+        ('blue_acrylic', '_')
+    """
+    name = "".join(c if _is_seen(c) and c not in "/\\" else " " if c.isspace() else "_" for c in text).strip()
+    if set(name) <= {"."}:
+        name = "_"
+    while len(name.encode()) > LONGEST_NAME:
+        name = name[:-1].rstrip()
+    return name
+
+
+def file_stem(name: str) -> str:
+    """A name as the stem of a file, on every system: different names have different stems.
+
+    Args:
+        name: Of a material or stimulus.
+
+    Returns:
+        The name itself where all systems allow it, else what is left of it and a few digits of its hash.
+
+    Example:
+        >>> from torchbrdf.names import file_stem
+        >>> file_stem("nickel"), file_stem("a:b")
+        ('nickel', 'a_b-6783a31e')
+    """
+    plain = re.sub(r'[<>:"/\\|?*\x00-\x1f]', "_", clean_name(name)).rstrip(". ")
+    reserved = re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", plain)
+    if plain == name and not reserved:
+        return name
+    return f"{plain}-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
+
+
+def math_text(name: str) -> str:
+    r"""A name as matplotlib is to draw it: a dollar sign is one, and begins no formula.
+
+    Example:
+        >>> from torchbrdf.names import math_text
+        >>> math_text("gold $paint$")
+        'gold \\$paint\\$'
+    """
+    return name.replace("$", r"\$")
+
+
+def _is_seen(character: str) -> bool:
+    """Whether it is printed; spaces of all widths are, ends of lines are not."""
+    return character.isprintable() or unicodedata.category(character) == "Zs"

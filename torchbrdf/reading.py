@@ -1,0 +1,250 @@
+"""Reading files that may hold anything: whatever is wrong with one becomes a DataError that names it."""
+
+import hashlib
+import os
+import stat
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
+from torchbrdf.files import replacing
+
+if TYPE_CHECKING:
+    import numpy as np
+
+T = TypeVar("T")
+
+# Bytes that one file may hold, or may become in memory; the variable of the environment raises it.
+LARGEST = 2**30
+LIMIT_VARIABLE = "TORCHBRDF_MAX_BYTES"
+CHECKSUM = "sha256"
+
+
+def largest() -> int:
+    """How many bytes one file may become in memory: 1 GiB, or TORCHBRDF_MAX_BYTES.
+
+    Raises:
+        UsageError: That variable is no whole number above 0.
+    """
+    given = os.environ.get(LIMIT_VARIABLE)
+    if given is None:
+        return LARGEST
+    if not (given.isascii() and given.isdecimal() and len(given) < 19 and int(given)):
+        raise UsageError(f"{LIMIT_VARIABLE}: expected a number of bytes, found {shown(given)}")
+    return int(given)
+
+
+def check_unpacked(path: Path | str, size: int) -> None:
+    """Refuse a file before it is unpacked, by what its header says.
+
+    Args:
+        path: The file.
+        size: Bytes that it would become in memory.
+
+    Raises:
+        DataError: They are more than `largest()`.
+    """
+    if size > largest():
+        raise DataError(
+            f"{path}: expected at most {largest()} bytes unpacked, found {size}; {LIMIT_VARIABLE} raises the limit"
+        )
+
+
+@contextmanager
+def reading(path: Path | str, expected: str) -> Iterator[None]:
+    """Turn whatever is raised while a file is read into one line that names it.
+
+    For readers that are not ours: libraries raise whatever comes up in a damaged file.
+
+    Args:
+        path: The file.
+        expected: What it should hold, as in "expected {expected}, found ...".
+
+    Raises:
+        DataError: For everything that is raised within and is no error of torchbrdf's already.
+
+    Example:
+        >>> from torchbrdf.reading import reading
+        >>> with reading("x.json", "a number"):
+        ...     float("seven")
+        Traceback (most recent call last):
+        torchbrdf.errors.DataError: x.json: expected a number, found could not convert string to float: 'seven'
+    """
+    try:
+        yield
+    except TorchbrdfError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path}: expected {expected}, found {error.strerror or error}") from None
+    except Exception as error:  # see above
+        reason = str(error) if str(error) and not isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        raise DataError(f"{path}: expected {expected}, found {reason}") from error
+
+
+def read_bytes(path: Path | str, expected: str) -> bytes:
+    """All bytes of a regular file.
+
+    A FIFO or a device would be waited for, and has no end.
+
+    Args:
+        path: The file.
+        expected: What it should hold.
+
+    Raises:
+        DataError: It is not there, no regular file, cannot be read, or is larger than `largest()`.
+    """
+    path = Path(path)
+    try:
+        with open(path, "rb", opener=_open_at_once) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise DataError(f"{path}: expected {expected}, found no regular file")
+            check_unpacked(path, status.st_size)
+            return file.read()
+    except TorchbrdfError:
+        raise
+    except OSError as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
+        raise DataError(f"{path}: expected {expected}, found {reason}") from None
+    except ValueError:  # a NUL in the path
+        raise DataError(f"{path}: expected {expected}, found no such file") from None
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """An opener that does not wait for somebody to write into a FIFO."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_text(path: Path | str, expected: str) -> str:
+    """All of a UTF-8 text file, without a byte order mark.
+
+    Raises:
+        DataError: As `read_bytes`, or it is no UTF-8.
+    """
+    data = read_bytes(path, expected)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: expected {expected} in UTF-8, found byte {error.start} that is none") from None
+
+
+def read_json(path: Path | str, kind: type[T] | Any, expected: str) -> T:
+    """A value of some type from a JSON file.
+
+    Strict: no NaN, no true for 1, no text for a number; an object's unknown keys are passed over where `kind` is a
+    dataclass or a `msgspec.Struct`.
+
+    Args:
+        path: The file.
+        kind: The type: of builtins, dataclasses, `msgspec.Struct`, and containers and unions of them.
+        expected: What it should hold.
+
+    Raises:
+        DataError: As `read_bytes`, or it is no JSON of that type; says where.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from torchbrdf.reading import read_json
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "numbers.json"
+        ...     _ = path.write_text("[1, 2.5]")
+        ...     read_json(path, list[float], "numbers")
+        [1.0, 2.5]
+    """
+    import msgspec  # late: not everything reads JSON
+
+    data = read_bytes(path, expected)
+    try:
+        return msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"), type=kind)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        reason = "JSON that is nested too deep" if isinstance(error, RecursionError) else _reason(error)
+        raise DataError(f"{path}: expected {expected}, found {reason}") from None
+
+
+def _reason(error: Exception) -> str:
+    """msgspec's message, such as "Expected `str`, got `null` - at `$[0].material`", as a part of ours."""
+    text = str(error)
+    return text[:1].lower() + text[1:]
+
+
+def write_npz(path: Path | str, arrays: Mapping[str, "np.ndarray"], *, compressed: bool = False) -> None:
+    """Write arrays as `.npz` with a checksum of them all, whole or not at all; `read_npz` holds them against it.
+
+    Args:
+        path: The file.
+        arrays: By name.
+        compressed: Whether to spend time for a smaller file.
+    """
+    import numpy as np
+
+    found = {**arrays, CHECKSUM: np.frombuffer(_digest(arrays), np.uint8)}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        (np.savez_compressed if compressed else np.savez)(file, allow_pickle=False, **found)
+
+
+def read_npz(path: Path | str, expected: str, layout: Mapping[str, tuple[tuple[int | None, ...], str]] | None = None,
+             *, checksum: bool = True) -> dict[str, "np.ndarray"]:  # fmt: skip
+    """The arrays of an `.npz`.
+
+    Args:
+        path: The file.
+        expected: What it should hold.
+        layout: Shape (None: any size) and kind ("f", "i", "u", "b" or "U", as of `numpy.dtype.kind`) of each array
+            that is needed; numbers of kind "f" must be finite.
+        checksum: Whether `write_npz` wrote it, whose checksum is held against the arrays.
+
+    Raises:
+        DataError: It cannot be read, would unpack to more than `largest()`, is damaged, or lacks an array or has one
+            of another shape or kind.
+    """
+    import io
+
+    import numpy as np
+
+    data = read_bytes(path, expected)
+    with reading(path, expected):
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            check_unpacked(path, sum(member.file_size for member in archive.infolist()))
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            found = {name: archive[name] for name in archive.files}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray):
+            raise DataError(f"{path}: expected {expected}, found {name} that is no array")
+    if checksum:
+        stored = found.pop(CHECKSUM, None)
+        if stored is None or stored.tobytes() != _digest(found):
+            raise DataError(f"{path}: expected {expected} as it was written, found one that was changed or damaged")
+    for name, (shape, kind) in (layout or {}).items():
+        _check_array(path, found, name, shape, kind)
+    return found
+
+
+def _check_array(path: Path | str, found: Mapping[str, "np.ndarray"], name: str, shape: tuple[int | None, ...],
+                 kind: str) -> None:  # fmt: skip
+    import numpy as np
+
+    wanted = f"{name} of shape ({', '.join('n' if size is None else str(size) for size in shape)}) and kind {kind}"
+    if name not in found:
+        raise DataError(f"{path}: expected {wanted}, found {', '.join(found) or 'nothing'}")
+    value = found[name]
+    fits = len(value.shape) == len(shape) and all(
+        want in (None, have) for have, want in zip(value.shape, shape, strict=True)
+    )
+    if not fits or value.dtype.kind != kind:
+        raise DataError(f"{path}: expected {wanted}, found shape {value.shape} and kind {value.dtype.kind}")
+    if kind == "f" and not np.isfinite(value).all():
+        raise DataError(f"{path}: expected {wanted}, found {int((~np.isfinite(value)).sum())} numbers not finite")
+
+
+def _digest(arrays: Mapping[str, "np.ndarray"]) -> bytes:
+    import numpy as np
+
+    found = hashlib.sha256()
+    for name, value in sorted(arrays.items()):
+        found.update(repr((name, value.shape, value.dtype.str)).encode())
+        found.update(np.ascontiguousarray(value).data)
+    return found.digest()
