@@ -245,7 +245,7 @@ def _stimulus_values(
             values.append(own[None])
         elif key in records:
             with torch.no_grad():
-                values.append(model_of([records[key]]).to(pairs.dtype)(pairs).to(pairs.dtype))
+                values.append(model_of([records[key]], torch.float32).to(pairs.dtype)(pairs).to(pairs.dtype))
         else:
             raise DataError(f"{answers}: {key[0]}: expected a fit of {run / 'fits.json'}, found {key[1]!r}")
     return torch.cat(values)

@@ -52,7 +52,7 @@ class StandIn(BrdfFormat):
             found = read_fits(path)
             for k, record in enumerate(found):
                 try:
-                    model_of([record])
+                    model_of([record], torch.float32)
                 except (TorchbrdfError, TypeError, RuntimeError) as error:
                     raise DataError(f"{path}: fit {k}: {error}") from None
             records += found
@@ -83,7 +83,7 @@ class StandIn(BrdfFormat):
             record = self.records[material]
             kinds.setdefault((record.model, record.lobes), []).append(row)
         return [
-            (rows, model_of([self.records[materials[row]] for row in rows]).to(device, dtype))
+            (rows, model_of([self.records[materials[row]] for row in rows], torch.float32).to(device, dtype))
             for rows in kinds.values()
         ]
 

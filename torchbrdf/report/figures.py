@@ -60,7 +60,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
     angle off the mirror direction on a logarithmic scale.
     """
     material = group.batch([group.names.index(records[0].material)])
-    model = model_of(list(records))
+    model = model_of(list(records), torch.float32)
     with new_figure(path, 11, 2.6, caveat(group.stand_in)) as figure:
         panels = figure.subplots(1, len(INCIDENT) + 1)
         for panel, incident in zip(panels, INCIDENT, strict=False):

@@ -13,6 +13,7 @@ from torchbrdf.losses.learned import THETA_H_BINS, pack_weights
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
+from torchbrdf.precision import undisturbed
 
 # What the mean likelihood of each part of the answers counts.
 PART_WEIGHT = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
@@ -73,6 +74,7 @@ def negative_log_likelihood(
     return total
 
 
+@undisturbed()
 def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     """Train weights on what a split learns from, by L-BFGS from equal weights; the rest judges.
 
