@@ -78,7 +78,7 @@ class MakeStandins(Recipe):
 
 def first_guess(measured: Measured) -> torch.Tensor:
     """A distribution read off at theta_d = 20, phi_d = 90 degrees, where both directions stay low, `(M, K, 3)`."""
-    theta_h = ((torch.arange(NODES, dtype=torch.float64) + 0.5) / NODES).square()[None] * (math.pi / 2)
+    theta_h = ((torch.arange(NODES, dtype=torch.float64, device="cpu") + 0.5) / NODES).square()[None] * (math.pi / 2)
     theta_d = torch.full_like(theta_h, math.radians(20))
     pairs = Pairs.from_half_diff(theta_h, theta_d, torch.full_like(theta_h, math.pi / 2))
     excess = measured.at(pairs) - measured.diffuse_45_0()[:, None] / math.pi

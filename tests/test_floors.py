@@ -113,7 +113,7 @@ def test_the_document_names_the_rooms_that_there_are() -> None:
         ("`pairs`, `registry`", "`registry`", "pairs, of which one has no floor"),
         ("| 8 | `cli` |", "| 3 | `cli` |", "cli imports fitting, which is not below it"),
         ("| 7 | `recipes` |", "| 2 | `recipes` |", "recipes imports fitting, which is not below it"),
-        ("| `pairs` | `errors` |", "| `pairs` | `files` |", "pairs imports errors, which is not below it"),
+        ("| `errors`, `precision`, `roots` |", "| `files` |", "pairs imports errors, which is not below it"),
     ],
 )
 def test_the_document_decides(old: str, new: str, expected: str) -> None:

@@ -28,8 +28,8 @@ def resample_counts(items: int, draws: int = 1000, seed: int = 0) -> Tensor:
     """
     if draws < 0:
         raise UsageError(f"bootstrap: draws: expected 0 or more, found {draws}")
-    drawn = torch.randint(items, (draws, items), generator=torch.Generator().manual_seed(seed))
-    return torch.zeros(draws, items, dtype=torch.long).scatter_add_(1, drawn, torch.ones_like(drawn))
+    drawn = torch.randint(items, (draws, items), generator=torch.Generator("cpu").manual_seed(seed), device="cpu")
+    return torch.zeros(draws, items, dtype=torch.long, device="cpu").scatter_add_(1, drawn, torch.ones_like(drawn))
 
 
 def percentile_interval(replicates: Tensor, level: float = 0.95) -> Tensor:
@@ -46,5 +46,5 @@ def percentile_interval(replicates: Tensor, level: float = 0.95) -> Tensor:
         >>> percentile_interval(torch.arange(101.0)[:, None], level=0.9)
         tensor([[ 5., 95.]])
     """
-    ends = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=replicates.dtype)
+    ends = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=replicates.dtype, device=replicates.device)
     return replicates.nanquantile(ends, 0).T

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.precision import HALVES
+from torchbrdf.roots import safe_ratio, safe_sqrt
 
 Index = Tensor | slice | list[int] | None
 Owner = Callable[..., object] | type | ModuleType
@@ -22,7 +24,11 @@ class Pairs:
     Both directions point away from the surface; the normal is +z and the tangent +x. Every quantity has the shape
     `(..., N)` (`wi` and `wo`: `(..., N, 3)`), usually `(M, N)`, or `(1, N)` where all materials share the pairs.
     Angles are in radians: Rusinkiewicz' half and difference angles, theta_h and theta_d in [0, pi/2], phi_d in
-    [0, pi). Quantities that were not given are derived at first use and kept. dtype and device are the inputs'.
+    [0, pi). Quantities that were not given are derived at first use and kept. dtype and device are the inputs'; what is
+    derived of half precision is computed in float32.
+
+    Gradients by directions, angles and cosines are finite wherever the quantities are: 0 where there is none, or an
+    infinite one, as at the tip of the cone theta_h over directions, h = n, or for opposite directions.
 
     tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1.
 
@@ -77,18 +83,22 @@ class Pairs:
         if wi.shape[-1:] != (3,) or wo.shape[-1:] != (3,):
             raise ShapeError(f"Pairs: expected directions (..., N, 3), found wi {(*wi.shape,)} and wo {(*wo.shape,)}")
         wi, wo = torch.broadcast_tensors(wi, wo)
-        half = wi + wo
+        dtype = torch.promote_types(wi.dtype, wo.dtype)
+        if dtype in HALVES:
+            return cls.from_directions(wi.float(), wo.float()).to(dtype=dtype)
+        wi, wo = wi.to(dtype), wo.to(dtype)
+        half = _half_vector(wi, wo)
         square = half.square()
         horizontal = square[..., 0] + square[..., 1]
-        length = (horizontal + square[..., 2]).sqrt()
+        length = safe_sqrt(horizontal + square[..., 2])
         return cls(
             wi=wi,
             wo=wo,
             cos_i=wi[..., 2],
             cos_o=wo[..., 2],
-            cos_h=half[..., 2] / _positive(length),
+            cos_h=half[..., 2] / _nonzero(length),
             cos_d=length / 2,
-            tan2_h=horizontal / _positive(square[..., 2]),
+            tan2_h=safe_ratio(horizontal, square[..., 2]),
         )
 
     @classmethod
@@ -112,6 +122,10 @@ class Pairs:
             (tensor([0.7071]), tensor([1.]))
         """
         theta_h, theta_d, phi_d = torch.broadcast_tensors(theta_h, theta_d, phi_d)
+        dtype = torch.promote_types(torch.promote_types(theta_h.dtype, theta_d.dtype), phi_d.dtype)
+        if dtype in HALVES:
+            return cls.from_half_diff(theta_h.float(), theta_d.float(), phi_d.float()).to(dtype=dtype)
+        theta_h, theta_d, phi_d = theta_h.to(dtype), theta_d.to(dtype), phi_d.to(dtype)
         sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
         even, odd = cos_h * cos_d, sin_h * sin_d * phi_d.cos()
         return cls(
@@ -122,7 +136,7 @@ class Pairs:
             cos_o=even + odd,
             cos_h=cos_h,
             cos_d=cos_d,
-            tan2_h=(sin_h / _positive(cos_h)).square(),
+            tan2_h=(sin_h / torch.where(cos_h == 0, torch.finfo(dtype).tiny, cos_h)).square(),
         )
 
     @classmethod
@@ -159,7 +173,11 @@ class Pairs:
     def _get(self, name: str) -> Tensor:
         value = self._known.get(name)
         if value is None:
-            value = self._known[name] = self._derive(name)
+            wide = self.widened()
+            value = self._derive(name) if wide is self else wide._get(name)
+            if wide is not self and value.dtype != torch.bool:
+                value = value.to(self.dtype)
+            self._known[name] = value
         return value
 
     def cached(self, owner: Owner, make: Callable[[], Tensor], name: str = "") -> Tensor:
@@ -208,13 +226,13 @@ class Pairs:
             return (self.cos_i > 0) & (self.cos_o > 0)
         if name == "tan2_h" and "cos_h" in known:
             square = self.cos_h.square()
-            return (1 - square).clamp_min(0) / _positive(square)
+            return safe_ratio((1 - square).clamp_min(0), square)
         if name == "theta_h" and ("tan2_h" in known or "cos_h" in known):
-            return torch.atan2(self.tan2_h.sqrt(), torch.ones_like(self.tan2_h))
+            return torch.atan2(safe_sqrt(self.tan2_h), torch.ones_like(self.tan2_h))
         if name == "theta_d" and "wi" in known:
-            return torch.atan2(_length(self.wi - self.wo), _length(self.wi + self.wo))
+            return torch.atan2(_length(self.wi - self.wo), _length(_half_vector(self.wi, self.wo)))
         if name == "theta_d" and "cos_d" in known:
-            return torch.atan2((1 - self.cos_d.square()).clamp_min(0).sqrt(), self.cos_d)
+            return torch.atan2(safe_sqrt((1 - self.cos_d.square()).clamp_min(0)), self.cos_d)
         if name == "phi_d" and "wi" in known:
             return _phi_d(self.wi, self.wo)
         if name in ("wi", "wo") and "phi_d" in known:
@@ -367,6 +385,32 @@ class Pairs:
 
         return self._map(pick)
 
+    def widened(self) -> "Pairs":
+        """The same pairs in float32, if they are in half precision; themselves, if they are not.
+
+        What follows from directions or from half and difference angles that are known is derived from these anew.
+
+        Returns:
+            Pairs of float32 or float64.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> half = Pairs.from_directions(*torch.tensor([[[0.6, 0.0, 0.8]], [[0.0, 0.6, 0.8]]]).half())
+            >>> half.tan2_h, half.widened().tan2_h
+            (tensor([0.2812], dtype=torch.float16), tensor([0.2813]))
+        """
+        if not any(value.dtype in HALVES for value in self._known.values()):
+            return self
+        wide = self.to(dtype=torch.float32)
+        known = wide._known
+        if "wi" in known and "wo" in known:
+            return Pairs.from_directions(known["wi"], known["wo"])
+        if "theta_h" in known and "theta_d" in known and "phi_d" in known:
+            return Pairs.from_half_diff(known["theta_h"], known["theta_d"], known["phi_d"])
+        wide._cached = {}
+        return wide
+
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Pairs":
         """The same pairs on another device or in another floating-point dtype.
 
@@ -407,32 +451,45 @@ def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
     """The part of one dimension that a slice (as a view), a list or an index tensor names."""
     if isinstance(index, slice):
         return value[(slice(None),) * dim + (index,)]
-    return value.index_select(dim, torch.as_tensor(index, device=value.device))
+    if not isinstance(index, Tensor):
+        index = torch.tensor(index, dtype=torch.int64, device=value.device)
+    return value.index_select(dim, index.to(value.device))
+
+
+def _half_vector(wi: Tensor, wo: Tensor) -> Tensor:
+    """wi + wo, without a gradient where the directions are opposite but for rounding, and it points anywhere."""
+    half = wi + wo
+    if not half.requires_grad:
+        return half
+    nowhere = half.detach().abs().amax(-1, keepdim=True) < 8 * torch.finfo(half.dtype).eps
+    return torch.where(nowhere, half.detach(), half)
 
 
 def _length(vector: Tensor) -> Tensor:
     """Length of `(..., 3)`, `(...)`; Tensor.norm is ten times slower where the components lie apart in memory."""
     x, y, z = vector.unbind(-1)
-    return (x.square() + y.square() + z.square()).sqrt()
+    return safe_sqrt(x.square() + y.square() + z.square())
 
 
-def _positive(x: Tensor) -> Tensor:
-    """x, with 0 replaced by the smallest normal number, so that a quotient stays finite or honestly huge."""
-    tiny = torch.finfo(x.dtype).tiny
-    return torch.where(x.abs() < tiny, tiny, x)
+def _nonzero(length: Tensor) -> Tensor:
+    """Lengths to divide by, with 1 in the place of 0."""
+    return torch.where(length == 0, 1, length)
 
 
 def _phi_d(wi: Tensor, wo: Tensor) -> Tensor:
     """Azimuth of wi in the frame whose z is the half vector and whose x lies in the plane of h and the normal."""
-    h = wi + wo
-    radius = (h[..., 0].square() + h[..., 1].square()).sqrt()
-    length = _positive((radius.square() + h[..., 2].square()).sqrt())
-    at_pole = radius == 0
-    cos_p = torch.where(at_pole, 1.0, h[..., 0] / _positive(radius))
-    sin_p = torch.where(at_pole, 0.0, h[..., 1] / _positive(radius))
+    h = _half_vector(wi, wo)
+    radius = safe_sqrt(h[..., 0].square() + h[..., 1].square())
+    length = _nonzero(safe_sqrt(radius.square() + h[..., 2].square()))
+    at_pole, divisor = radius == 0, _nonzero(radius)
+    cos_p = torch.where(at_pole, 1.0, h[..., 0] / divisor)
+    sin_p = torch.where(at_pole, 0.0, h[..., 1] / divisor)
     along = cos_p * wi[..., 0] + sin_p * wi[..., 1]
     across = cos_p * wi[..., 1] - sin_p * wi[..., 0]
-    phi = torch.atan2(across, (along * h[..., 2] - wi[..., 2] * radius) / length)
+    along = (along * h[..., 2] - wi[..., 2] * radius) / length
+    # Where wi = wo there is no azimuth: 0, as that of (1, 0), with gradient 0.
+    none = across.square() + along.square() < torch.finfo(h.dtype).tiny
+    phi = torch.atan2(torch.where(none, 0, across), torch.where(none, 1, along))
     phi = torch.where(phi < 0, phi + math.pi, phi)
     return torch.where(phi >= math.pi, torch.zeros_like(phi), phi)
 

@@ -30,7 +30,7 @@ def from_half_diff(theta_h: Array, theta_d: Array, phi_d: Array, phi_h: Array | 
 
 def hemisphere(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
     """Directions above the horizon, uniform in solid angle, `(*shape, 3)`."""
-    generator = torch.Generator().manual_seed(seed)
-    cos, turn = torch.rand(2, *shape, generator=generator, dtype=torch.float64)
+    generator = torch.Generator("cpu").manual_seed(seed)
+    cos, turn = torch.rand(2, *shape, generator=generator, dtype=torch.float64, device="cpu")
     phi, sin = 2 * math.pi * turn, (1 - cos.square()).sqrt()
     return torch.stack([sin * phi.cos(), sin * phi.sin(), cos], -1).to(dtype)

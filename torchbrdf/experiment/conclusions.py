@@ -111,4 +111,6 @@ def mean_scales(scales: Scales) -> dict[str, float]:
     for names, values in zip(scales.stimuli, scales.value, strict=True):
         for name, value in zip(names, values.tolist(), strict=False):
             found.setdefault(name, []).append(value)
-    return {name: float(torch.tensor(values).mean()) for name, values in found.items()}
+    return {
+        name: float(torch.tensor(values, dtype=torch.float64, device="cpu").mean()) for name, values in found.items()
+    }

@@ -112,7 +112,7 @@ def study_data(run: Path, answers: Path, pairs: Pairs, losses: Mapping[str, Loss
     names = sorted({answer.material for answer in given})
     stimuli = sorted({(answer.material, side) for answer in given for side in (answer.left, answer.right)})
     materials, stand_in = _materials_of(run, names, pairs, answers)
-    target = torch.tensor([names.index(material) for material, _ in stimuli])
+    target = torch.tensor([names.index(material) for material, _ in stimuli], dtype=torch.int64, device="cpu")
     values = _stimulus_values(run, stimuli, materials[target], pairs, answers)
     brdfs = EvaluatedBrdfs(materials, values, target, pairs)
     compared, votes = _votes(given, stimuli)
@@ -185,7 +185,7 @@ def train_metric(
     plain = [k for k, split in enumerate(halves) if split.without < 0]
     best = best_iteration([histories[k] for k in plain])
     folder.log(f"held-out answers are likeliest after iteration {best + 1}")
-    everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool))
+    everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
     weights = _trained(folder, training_set, everything, iterations, progress, total, total).weights[best]
     learned = [(split, history.weights[best]) for split, history in zip(halves, histories, strict=True)]
     materials = held_out(training_set, [learned[k] for k in plain], data.baselines, seed, replicates)
@@ -245,7 +245,7 @@ def _stimulus_values(
             values.append(own[None])
         elif key in records:
             with torch.no_grad():
-                values.append(model_of([records[key]]).to(pairs.dtype)(pairs).to(pairs.dtype))
+                values.append(model_of([records[key]], torch.float32).to(pairs.dtype)(pairs).to(pairs.dtype))
         else:
             raise DataError(f"{answers}: {key[0]}: expected a fit of {run / 'fits.json'}, found {key[1]!r}")
     return torch.cat(values)
@@ -258,7 +258,9 @@ def _votes(given: Sequence[Answer], stimuli: Sequence[tuple[str, str]]) -> tuple
         (place[answer.material, answer.chosen], place[answer.material, answer.rejected]) for answer in given
     )
     compared = sorted({(min(key), max(key)) for key in count})
-    return torch.tensor(compared), torch.tensor([[count[a, b], count[b, a]] for a, b in compared])
+    return torch.tensor(compared, dtype=torch.int64, device="cpu"), torch.tensor(
+        [[count[a, b], count[b, a]] for a, b in compared], dtype=torch.int64, device="cpu"
+    )
 
 
 def _trained(

@@ -72,7 +72,7 @@ class Pictures:
             for strategy in self.grid.strategies:
                 for model in self.grid.models:
                     chosen = [record for record in self.grid.by_strategy(strategy) if record.model == model]
-                    jobs.append((model_of(chosen), [self.grid.picture(record) for record in chosen]))
+                    jobs.append((model_of(chosen, torch.float32), [self.grid.picture(record) for record in chosen]))
             self._draw(name, scene, jobs)
 
     def measure_tones(self, *, fits: bool) -> None:

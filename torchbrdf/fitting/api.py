@@ -20,6 +20,7 @@ from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
+from torchbrdf.precision import HALVES, undisturbed
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.solvers import Status
 
@@ -35,6 +36,7 @@ class SlowFitWarning(UserWarning):
     """
 
 
+@undisturbed()
 def fit(
     model: Lobe,
     measured: Measured,
@@ -101,11 +103,12 @@ def fit(
         warnings.warn(
             f"{loss.registered_name}: no derivatives of its own: fits differentiate it by autograd, which is slower",
             SlowFitWarning,
-            stacklevel=2,
+            stacklevel=3,  # past the decorator
         )
-    measured = measured.within(max_theta)
+    measured = measured.within(max_theta).to(dtype=torch.float32 if measured.dtype in HALVES else measured.dtype)
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
+    model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
     if diffuse == "45:0":
         _set_diffuse(model, measured)
     subset = stratified(len(measured.pairs), samples, seed) if loss.supports_subsampling else None
@@ -197,7 +200,7 @@ def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta
 def _counts(problem: Problem) -> Tensor:
     """Valid values of each material, `(M,)`."""
     if problem.weight is None:
-        return torch.full((len(problem.target),), problem.target.shape[1:].numel())
+        return torch.full((len(problem.target),), problem.target.shape[1:].numel(), dtype=torch.int64, device="cpu")
     return (problem.weight > 0).expand(len(problem.target), -1, problem.target.shape[-1]).sum((1, 2)).cpu()
 
 

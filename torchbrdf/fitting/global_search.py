@@ -181,4 +181,4 @@ class _Candidates:
             elif count < most and value <= lowest * (1 + within) and value > last * (1 + self.same):
                 kept.append(row)
                 count, last = count + 1, value
-        return torch.tensor(kept, device=error.device)
+        return torch.tensor(kept, dtype=torch.int64, device=error.device)

@@ -99,7 +99,7 @@ class LobeDictionary:
 
     def columns(self, picked: Tensor) -> Tensor:
         """The atoms of the shapes `picked`, `(...)` to `(..., E)`."""
-        ends = torch.arange(len(self.ends), device=picked.device)
+        ends = torch.arange(len(self.ends), dtype=torch.int64, device=picked.device)
         return self.first + picked[..., None] * len(self.ends) + ends
 
 
@@ -111,7 +111,7 @@ def _limits(lobe: Lobe, ends: int) -> Tensor:
     color = lobe.albedo_spec()
     assert color is not None
     lower = color.lower if ends == 1 else min(color.lower, 0.0)
-    return torch.tensor([[lower], [color.upper]], dtype=torch.float64).expand(2, ends)
+    return torch.tensor([[lower], [color.upper]], dtype=torch.float64, device="cpu").expand(2, ends)
 
 
 def from_unit(spec: BoundedParameter, place: Tensor) -> Tensor:
@@ -142,9 +142,9 @@ def _search(
     """
     picked = torch.zeros(len(right), 1, 0, dtype=torch.long, device=right.device)
     for depth, kind in enumerate(dictionaries):
-        more = torch.arange(len(kind.grid), device=right.device).expand(*picked.shape[:2], -1)
+        more = torch.arange(len(kind.grid), dtype=torch.int64, device=right.device).expand(*picked.shape[:2], -1)
         picked = torch.cat([picked[:, :, None].expand(-1, -1, len(kind.grid), -1), more[..., None]], -1).flatten(1, 2)
-        used = [torch.arange(base, device=right.device).expand(*picked.shape[:2], base)]
+        used = [torch.arange(base, dtype=torch.int64, device=right.device).expand(*picked.shape[:2], base)]
         used += [one.columns(picked[..., k]) for k, one in enumerate(dictionaries[: depth + 1])]
         factor, error = _factors(gram, right, limits, torch.cat(used, -1))
         if depth and dictionaries[depth - 1] is kind:  # equal lobes in no order: each combination once
@@ -162,8 +162,8 @@ def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple
     """
     materials, _, size = used.shape
     gram = gram.expand(materials, 3, -1, -1)
-    m = torch.arange(materials, device=used.device)[:, None, None]
-    c = torch.arange(3, device=used.device)[:, None]
+    m = torch.arange(materials, dtype=torch.int64, device=used.device)[:, None, None]
+    c = torch.arange(3, dtype=torch.int64, device=used.device)[:, None]
     index = used[:, None]
     matrix = gram[m[..., None, None], c[..., None, None], index[..., :, None], index[..., None, :]]
     slope = right[m[..., None], c[..., None], index]
@@ -179,7 +179,7 @@ def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple
 
 def _take(values: Tensor, index: Tensor) -> Tensor:
     """Entries of `(M, C, ...)` at an index `(M, c)`."""
-    return values[torch.arange(len(index), device=index.device)[:, None], index]
+    return values[torch.arange(len(index), dtype=torch.int64, device=index.device)[:, None], index]
 
 
 def _suppress_neighbours(picked: Tensor, dictionaries: list[LobeDictionary], wanted: int) -> Tensor:

@@ -49,8 +49,8 @@ class FreeParameter:
 
     def limits(self) -> tuple[Tensor, Tensor]:
         """Lower and upper bounds as the solver sees them, `(width,)`."""
-        both = torch.tensor([[self.spec.lower], [self.spec.upper]], dtype=torch.float64).expand(-1, self.width)
-        lower, upper = self._scaled(both)
+        both = torch.tensor([[self.spec.lower], [self.spec.upper]], dtype=torch.float64, device="cpu")
+        lower, upper = self._scaled(both.expand(-1, self.width))
         return lower, upper
 
     def _scaled(self, value: Tensor) -> Tensor:

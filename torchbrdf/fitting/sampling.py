@@ -32,9 +32,10 @@ def stratified(total: int, samples: int | None, seed: int) -> Tensor | None:
     """
     if samples is None or samples >= total:
         return None
-    generator = torch.Generator().manual_seed(seed)
-    within = torch.rand(samples, generator=generator, dtype=torch.float64)
-    return ((torch.arange(samples, dtype=torch.float64) + within) * (total / samples)).long().clamp_max(total - 1)
+    generator = torch.Generator("cpu").manual_seed(seed)
+    within = torch.rand(samples, generator=generator, dtype=torch.float64, device="cpu")
+    place = torch.arange(samples, dtype=torch.float64, device="cpu") + within
+    return (place * (total / samples)).long().clamp_max(total - 1)
 
 
 def chunked(pairs: Pairs, fits: int) -> Iterator[tuple[slice, Pairs]]:

@@ -14,6 +14,7 @@ from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
 from torchbrdf.parallel import process_map, thread_map
+from torchbrdf.precision import undisturbed
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
 MEMORY = 4_000_000
@@ -70,6 +71,7 @@ def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
     return cross_score([model], measured, losses)[:, 0]
 
 
+@undisturbed()
 def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Loss]) -> Tensor:
     """The errors of several models of the same materials; every sample is read once.
 

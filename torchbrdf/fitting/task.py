@@ -97,7 +97,7 @@ def levenberg_marquardt_fit(
     scale = objective.zero_prediction_error[materials]
     x = parametrization.encode(values).to(scale.device)
     lower, upper = (bound.to(scale.device) for bound in parametrization.limits())
-    iterations = torch.zeros(len(x), dtype=torch.long)
+    iterations = torch.zeros(len(x), dtype=torch.int64, device="cpu")
     for share in widths:
         width = None if share is None else share * objective.target_scale[materials]
         bound = objective.bind(parametrization, values, materials, width)
@@ -107,6 +107,6 @@ def levenberg_marquardt_fit(
         x, iterations = found.x, iterations + found.iterations
     value = found.value
     if width is not None:
-        value, _ = bound.value_and_gradient(x, torch.arange(len(x), device=x.device))
+        value, _ = bound.value_and_gradient(x, torch.arange(len(x), dtype=torch.int64, device=x.device))
     found = Solution(x, objective.loss.finalize(value * scale), found.status, iterations)
     return values | parametrization.decode(x, objective.problem.target.dtype), found

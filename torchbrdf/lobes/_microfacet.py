@@ -64,8 +64,9 @@ def v_groove(pairs: Pairs) -> Tensor:
 
     def make() -> Tensor:
         cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-        masked = 2 * clamp_cosine(pairs.cos_h) / (clamp_cosine(pairs.cos_d) * torch.maximum(cos_i, cos_o))
-        return torch.minimum(1 / (cos_i * cos_o), masked)
+        # One cosine after the other: the gradient of a quotient has the square of what is divided by.
+        masked = 2 * clamp_cosine(pairs.cos_h) / clamp_cosine(pairs.cos_d) / torch.maximum(cos_i, cos_o)
+        return torch.minimum(1 / cos_i / cos_o, masked)
 
     return pairs.cached(v_groove, make)
 

@@ -7,9 +7,11 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_secant, v_groove
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def abc(pairs: Pairs, amplitude: Tensor, sharpness: Tensor, exponent: Tensor, ior: Tensor) -> Tensor:
     """The microfacet lobe of Low et al. 2012: amplitude * S G F / (pi cos_i cos_o), S = 1 / (1 + B (1 - cos_h))^C.
 

@@ -7,10 +7,12 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, log_secant
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tensor) -> Tensor:
     """The isotropic Ashikhmin-Shirley lobe: specular * (m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o)) * F.
 
@@ -44,7 +46,8 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
     """(m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o))."""
 
     def geometry() -> Tensor:
-        return 1 / (clamp_cosine(pairs.cos_d) * torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)) / (8 * math.pi)
+        highest = torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)
+        return 1 / (8 * math.pi) / clamp_cosine(pairs.cos_d) / highest
 
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
     return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached(_power, geometry) * (exponent + 1))

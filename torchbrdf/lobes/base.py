@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.lobes.evaluation import check_leading, check_signature, check_values, half_in_float32
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
@@ -103,14 +104,17 @@ class BoundedParameter:
             The tensor, a view where possible.
 
         Raises:
-            ShapeError: it does not broadcast.
-            UsageError: it is no number, tensor or list of numbers.
+            ShapeError: it does not broadcast, or is not finite.
+            UsageError: it is no number, tensor or list of real numbers, or the dtype is none of floats.
         """
-        try:
-            tensor = torch.as_tensor(value)
-        except (TypeError, ValueError, RuntimeError):
-            raise UsageError(f"{where}: expected a number, a tensor or a list, found {type(value).__name__}") from None
-        tensor = tensor.to(dtype or (tensor.dtype if tensor.is_floating_point() else torch.get_default_dtype()))
+        if dtype is not None and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+            raise UsageError(f"{where}: expected a dtype of floats, found {dtype!r}")
+        tensor = _as_tensor(value, where)
+        own = hasattr(value, "dtype") and tensor.is_floating_point()
+        tensor = tensor.to(dtype or (tensor.dtype if own else torch.get_default_dtype()))
+        # A parameter of infinity is 0 times infinity somewhere. Tensors without values, of the meta device, have none.
+        if not tensor.is_meta and not bool(tensor.isfinite().all()):
+            raise ShapeError(f"{where}: expected finite values in {tensor.dtype}, found {_not_finite(tensor)}")
         try:
             lead = tensor.shape[: max(tensor.dim() - len(self.shape), 0)]
             return tensor.expand(*lead, *self.shape)
@@ -162,7 +166,8 @@ class Lobe(_Declared):
             function = staticmethod(ward)
 
     Parameters have the shape `(k,)`, or `(M, k)` after `batched(M)`. They can be set to what the constructor takes:
-    `lobe.roughness = 0.3`.
+    `lobe.roughness = 0.3`. Of numbers they are on the CPU, whatever torch's default device is, and of tensors where
+    these are; `to` moves them. Half precision is worked out in float32, see `half_in_float32`.
 
     Args:
         dtype: of the parameters; by default the values' own, or torch's.
@@ -171,7 +176,9 @@ class Lobe(_Declared):
 
     Raises:
         UsageError: a parameter is not declared.
-        ShapeError: a value does not broadcast to the declared shape.
+        UsageError: the function's parameters are not those that are declared.
+        ShapeError: a value does not broadcast to the declared shape, or is not finite; the values' leading dimensions
+            do not broadcast.
 
     Example:
         >>> import torch
@@ -207,6 +214,7 @@ class Lobe(_Declared):
         for name, spec in self.parameter_specs.items():
             value = spec.expand(values.get(name, spec.start), f"{type(self).__name__}.{name}", dtype)
             self.register_parameter(name, nn.Parameter(value.clone()))
+        self._check()
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Plain values of parameters become parameters, which modules of torch refuse."""
@@ -221,8 +229,35 @@ class Lobe(_Declared):
         return ", ".join(f"{name}={_shown(getattr(self, name), spec)}" for name, spec in self.parameter_specs.items())
 
     def forward(self, pairs: Pairs) -> Tensor:
-        """Values on pairs, `(..., N, 3)`."""
-        return type(self).function(pairs, *(getattr(self, name) for name in self.parameter_specs))
+        """Values on pairs, `(..., N, 3)`.
+
+        Raises:
+            ShapeError: the leading dimensions of parameters and pairs do not broadcast, or the function gives no values
+                of this shape.
+        """
+        kind = type(self)
+        try:
+            found = half_in_float32(kind.function)(pairs, *(getattr(self, name) for name in self.parameter_specs))
+        except RuntimeError:
+            check_leading(kind.__name__, {**self._leading(), "pairs": (*pairs.shape[:-1],)})
+            raise
+        check_values(kind.__name__, found, pairs)
+        return found
+
+    def _leading(self) -> dict[str, tuple[int, ...]]:
+        """The leading dimensions of each parameter."""
+        specs = self.parameter_specs
+        return {name: (*getattr(self, name).shape[: -len(spec.shape) or None],) for name, spec in specs.items()}
+
+    def _check(self) -> None:
+        """Refuse parameters that do not go together, and a function that does not take them."""
+        kind = type(self)
+        if kind.forward is Lobe.forward and self.parameter_specs:
+            if not hasattr(kind, "function"):
+                expected = ", ".join(["pairs", *self.parameter_specs])
+                raise UsageError(f"{kind.__name__}: expected a function of ({expected}), found none")
+            check_signature(kind.__name__, kind.function, list(self.parameter_specs))
+        check_leading(kind.__name__, self._leading())
 
     @classmethod
     def albedo_spec(cls) -> "BoundedParameter | None":
@@ -342,6 +377,26 @@ class Lobe(_Declared):
                 value = value.expand(materials, *spec.shape).clone()
                 setattr(component, name, nn.Parameter(value))
         return made
+
+
+def _as_tensor(value: Value, where: str) -> Tensor:
+    """A value as a tensor of real numbers; without a device of its own on the CPU, whatever torch's default is."""
+    if isinstance(value, Tensor):
+        tensor = value
+    else:
+        try:
+            # Numbers in float64, lest torch's default dtype round them.
+            tensor = torch.as_tensor(value, dtype=None if hasattr(value, "dtype") else torch.float64, device="cpu")
+        except (TypeError, ValueError, RuntimeError, OverflowError):
+            raise UsageError(f"{where}: expected a number, a tensor or a list, found {type(value).__name__}") from None
+    if tensor.is_complex():
+        raise UsageError(f"{where}: expected real numbers, found {tensor.dtype}")
+    return tensor
+
+
+def _not_finite(value: Tensor) -> float:
+    """The first value that is not finite."""
+    return float(value.flatten()[int((~value.isfinite()).flatten().to(torch.int8).argmax())])
 
 
 def _signature(lobe: type[Lobe]) -> inspect.Signature:

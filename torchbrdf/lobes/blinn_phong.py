@@ -7,9 +7,11 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_secant
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def blinn_phong(pairs: Pairs, specular: Tensor, exponent: Tensor) -> Tensor:
     """Blinn's lobe: specular * (n + 2) / (2 pi) * cos_h^n.
 

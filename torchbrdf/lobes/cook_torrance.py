@@ -14,10 +14,12 @@ from torchbrdf.lobes._microfacet import (
     v_groove,
 )
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def cook_torrance(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor) -> Tensor:
     """The Cook-Torrance lobe with Beckmann's distribution: specular * D G F / (pi cos_i cos_o).
 

@@ -7,12 +7,15 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import v_groove
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel
 from torchbrdf.pairs import Pairs
+from torchbrdf.roots import safe_sqrt
 
 NODES = 90
 
 
+@half_in_float32
 def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor:
     """A microfacet lobe with a tabulated distribution for each channel: D(theta_h) G F / (4 cos_i cos_o).
 
@@ -40,7 +43,7 @@ def distribution_based(pairs: Pairs, distribution: Tensor, f0: Tensor) -> Tensor
         tensor([[0.0814, 0.0814, 0.0814]])
     """
     nodes = distribution.shape[-2]
-    position = (pairs.theta_h / (math.pi / 2)).clamp(0, 1).sqrt() * nodes - 0.5
+    position = safe_sqrt((pairs.theta_h / (math.pi / 2)).clamp(0, 1)) * nodes - 0.5
     position = position.clamp(0, nodes - 1)
     low = position.floor().clamp_max(nodes - 2).to(torch.long)
     share = (position - low)[..., None]

@@ -8,9 +8,11 @@ from torch import Tensor
 from torchbrdf.lobes import base
 from torchbrdf.lobes._microfacet import apply_albedo
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def lambert(pairs: Pairs, albedo: Tensor) -> Tensor:
     """Diffuse reflection: albedo / pi.
 

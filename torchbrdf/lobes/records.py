@@ -157,11 +157,12 @@ class FitRecord:
             raise DataError(f"{where}: lobes: expected {made}, as parameters has, found {self.lobes}")
 
 
-def model_of(records: Sequence[FitRecord]) -> Sum:
+def model_of(records: Sequence[FitRecord], dtype: torch.dtype | None = None) -> Sum:
     """The batched model of several records with the same kind and number of lobes.
 
     Args:
         records: M of them.
+        dtype: Of the parameters; torch's default if not given.
 
     Returns:
         A model of M materials, in their order.
@@ -180,7 +181,7 @@ def model_of(records: Sequence[FitRecord]) -> Sum:
           )
         )
     """
-    models = [from_parameters(record.model, record.parameters) for record in records]
+    models = [from_parameters(record.model, record.parameters, dtype) for record in records]
     values = [get_parameters(model) for model in models]
     kinds = [(record.model, len(own)) for record, own in zip(records, values, strict=True)]
     for record, kind in zip(records, kinds, strict=True):

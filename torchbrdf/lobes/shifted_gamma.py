@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import clamped_exp, log_secant, tangent
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.pairs import Pairs
 
@@ -17,6 +18,7 @@ PRODUCT_FLOOR = 1e-13
 COMPLETE = 3.0
 
 
+@half_in_float32
 def shifted_gamma(
     pairs: Pairs,
     specular: Tensor,

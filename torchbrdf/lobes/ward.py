@@ -7,9 +7,11 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, log_beckmann_derivative, tangent
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.pairs import Pairs
 
 
+@half_in_float32
 def ward(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
     """Ward's isotropic lobe: specular * exp(-tan2_h / roughness^2) / (4 pi roughness^2 sqrt(cos_i cos_o)).
 

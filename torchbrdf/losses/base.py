@@ -11,16 +11,16 @@ from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import widened
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
+from torchbrdf.roots import safe_sqrt
 
 LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses", lambda: Loss)
 # Names of before, which fits.json and commands may still have.
 LOSSES.alias("cosine", "cosine_rms")
 LOSSES.alias("cuberoot", "cube_root")
 LOSSES.alias("solid_angle_cosine", "solid_angle_cosine_rms")
-
-HALVES = (torch.float16, torch.bfloat16)
 
 
 class Loss(nn.Module):
@@ -209,14 +209,8 @@ class Loss(nn.Module):
         return kept[3]
 
     def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
-        """Values of half precision in float32: they are stored so, but hold too little to be worked with."""
-        if prediction.dtype in HALVES:
-            prediction = prediction.float()
-        if target.dtype in HALVES:
-            target = target.float()
-        if self.needs and pairs is not None and pairs.dtype in HALVES:
-            pairs = pairs.to(dtype=torch.float32)
-        return prediction, target, pairs
+        """Values of half precision in float32."""
+        return widened(prediction), widened(target), pairs.widened() if self.needs and pairs is not None else pairs
 
     def extra_repr(self) -> str:
         """The arguments of the constructor that are not the defaults."""
@@ -265,12 +259,6 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
 def version(x: Tensor) -> int:
     """Changes with the tensor's content; those of inference mode have none, and cannot change outside it."""
     return -1 if torch.compiler.is_compiling() or x.is_inference() else x._version
-
-
-def safe_sqrt(x: Tensor) -> Tensor:
-    """Square root with gradient 0 at 0, where the true one is infinite."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1).sqrt(), torch.where(x < 0, torch.nan, x))
 
 
 def _shapes(prediction: Tensor, target: Tensor) -> str:

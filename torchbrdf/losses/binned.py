@@ -6,9 +6,11 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.losses.base import Loss, safe_sqrt, version
+from torchbrdf.losses.base import Loss, version
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import without_autocast
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_sqrt
 
 # A bin that holds less than this share of the pairs fades instead of saying much about little.
 SHRINKAGE = 1e-3
@@ -91,15 +93,16 @@ class BinnedLoss(Loss):
         prediction, target, pairs = self._widened(prediction, target, pairs)
         if pairs is None:
             raise ShapeError(f"{type(self).__name__}: needs pairs, to sort them into bins")
-        encoded_target = self._cached_target(target, pairs, lambda: self.encode(target, pairs))
-        difference = self.encode(prediction, pairs) - encoded_target
-        difference, weight = self.collapse_channel_weights(difference, weight)
-        own = self.assignment(pairs, weight, difference)
-        weighed = difference if weight is None else difference * weight
-        means = (weighed.mT @ own.membership).double() / own.mass
-        squares = (weighed * difference).mul_(own.pointwise_weight).sum((-2, -1)).double()
-        parts = means.flatten(-2) @ self.mean_factor(difference.shape[-1]).to(means.device)
-        return safe_sqrt(squares + parts.square().sum(-1))
+        with without_autocast(prediction.device.type):
+            encoded_target = self._cached_target(target, pairs, lambda: self.encode(target, pairs))
+            difference = self.encode(prediction, pairs) - encoded_target
+            difference, weight = self.collapse_channel_weights(difference, weight)
+            own = self.assignment(pairs, weight, difference)
+            weighed = difference if weight is None else difference * weight
+            means = (weighed.mT @ own.membership).double() / own.mass
+            squares = (weighed * difference).mul_(own.pointwise_weight).sum((-2, -1)).double()
+            parts = means.flatten(-2) @ self.mean_factor(difference.shape[-1]).to(means.device)
+            return safe_sqrt(squares + parts.square().sum(-1))
 
     def assignment(self, pairs: Pairs, weight: Tensor | None, like: Tensor) -> BinAssignment:
         """The bins for values `like` `(..., N, C)` under weights `(..., N|1, 1)`.

@@ -56,11 +56,15 @@ class CubeRootLoss(Loss):
 
     def penalty(self, difference: Tensor) -> Tensor:
         """(d^2)^(1/3)."""
-        square = difference.square()
         if self.eps == 0:
-            return safe_power(square, 1 / 3)
+            return safe_power(difference.square(), 1 / 3)
+        root = self.eps ** (1 / 3)
+        # Near 0 in units of the cusp, where the second derivative of the power would overflow in float32.
+        near = difference.abs() < 1e6 * self.eps**0.5
+        square = torch.where(near, difference * self.eps**-0.5, difference).square()
+        power = torch.where(near, square + 1, square + self.eps).pow(1 / 3)
         # In float32 the difference of two equal roots may round to just below 0.
-        return ((square + self.eps).pow(1 / 3) - self.eps ** (1 / 3)).clamp_min(0)
+        return (torch.where(near, power * root, power) - root).clamp_min(0)
 
     def penalty_with_derivatives(
         self, difference: Tensor, width: Tensor | None = None

@@ -44,7 +44,8 @@ def penalty_with_derivatives(loss: "Loss", difference: Tensor, width: Tensor | N
 
 def elementwise(loss: "Loss") -> bool:
     """Whether `encode` and `penalty` keep the shape, and change where one value does and nowhere else."""
-    like = next((x for x in chain(loss.parameters(), loss.buffers()) if x.is_floating_point()), torch.zeros(1))
+    other = torch.zeros(1, dtype=torch.float32, device="cpu")
+    like = next((x for x in chain(loss.parameters(), loss.buffers()) if x.is_floating_point()), other)
     wi = like.new_tensor([[0.6, 0.0, 0.8], [0.0, 0.28, 0.96], [-0.36, 0.48, 0.8]])
     pairs = Pairs.from_directions(wi, wi.flip(0))
     values = like.new_tensor([[0.1, 0.2, 0.3], [1.1, 1.2, 1.3], [2.1, 2.2, 2.3]])

@@ -72,7 +72,7 @@ class FunctionLoss(Loss):
         self, k: int, prediction: Tensor, target: Tensor, pairs: Pairs | None, weight: Tensor | None
     ) -> Tensor:
         one, other, own = prediction[k : k + 1], target[k : k + 1], None if weight is None else weight[k : k + 1]
-        here = None if pairs is None else pairs.select(materials=torch.tensor([k]))
+        here = None if pairs is None else pairs.select(materials=[k])
         if own is not None and bool((own <= 0).any()):
             counting = (own[0] > 0).any(-1).nonzero()[:, 0]
             if not len(counting):

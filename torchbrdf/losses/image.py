@@ -6,6 +6,7 @@ from torchbrdf.errors import ShapeError
 from torchbrdf.losses.base import Loss
 from torchbrdf.losses.problem import Problem
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import without_autocast
 
 # Values (m,), gradients (m, P, 3), and positive semi-definite matrices (m, P, 3, 3) that make up a parabola.
 QuadraticModel = tuple[Tensor, Tensor, Tensor]
@@ -75,5 +76,6 @@ class ImageLoss(Loss):
         if weight is not None:
             raise ShapeError(f"{type(self).__name__}: expected no weights, found {(*weight.shape,)}")
         prediction, target, _ = self._widened(prediction, target, None)
-        observed_target = self._cached_target(target, None, lambda: self.observe(target))
-        return self.finalize(self.compare(self.observe(prediction), observed_target))
+        with without_autocast(prediction.device.type):
+            observed_target = self._cached_target(target, None, lambda: self.observe(target))
+            return self.finalize(self.compare(self.observe(prediction), observed_target))

@@ -201,7 +201,7 @@ def contrasts(means: Tensor) -> Tensor:
     """
     lightness = (luminance_weights(means.mT) @ means)[..., None, :]
     means = torch.cat([lightness, means - lightness], -2)
-    one, other = torch.tensor(BIN_PAIRS, device=means.device).unbind(1)
+    one, other = torch.tensor(BIN_PAIRS, dtype=torch.int64, device=means.device).unbind(1)
     rows = means.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
     return torch.cat([means, (rows[..., one, :] - rows[..., other, :]).flatten(-2)], -1)
 
@@ -232,14 +232,18 @@ def features(difference: Tensor, bins: Tensor) -> Tensor:
 
 def unpack_weights(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
     """Weights by name as those of mean squares `(BIN_COUNT,)` and of averages `(2, K)`, float64."""
-    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64).repeat_interleave(THETA_D_BINS)
-    rows = [[torch.tensor(weights[name][kind], dtype=torch.float64) for name in SHAPES] for kind in COLOR_FEATURES]
+    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64, device="cpu").repeat_interleave(THETA_D_BINS)
+    rows = [
+        [torch.tensor(weights[name][kind], dtype=torch.float64, device="cpu") for name in SHAPES]
+        for kind in COLOR_FEATURES
+    ]
     return pointwise, torch.stack([torch.cat([part.flatten() for part in row]) for row in rows])
 
 
 def pack_weights(weights: Tensor) -> dict[str, Any]:
     """Weights `(T,)` in the order of `features`, by name, to four digits."""
-    rounded = torch.tensor([float(f"{value:.4g}") for value in weights.tolist()], dtype=torch.float64)
+    digits = [float(f"{value:.4g}") for value in weights.tolist()]
+    rounded = torch.tensor(digits, dtype=torch.float64, device="cpu")
     found: dict[str, Any] = {POINTWISE: rounded[:THETA_H_BINS].tolist()} | {name: {} for name in SHAPES}
     for kind, row in zip(COLOR_FEATURES, rounded[THETA_H_BINS:].chunk(2), strict=True):
         start = 0

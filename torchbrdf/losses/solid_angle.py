@@ -1,5 +1,6 @@
 """Cosine-weighted root mean square error with the solid angle of a bin as weight."""
 
+import math
 from typing import ClassVar
 
 from torch import Tensor
@@ -7,6 +8,9 @@ from torch import Tensor
 from torchbrdf.losses.base import LOSSES
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.pairs import Pairs
+
+# Radians that angles are kept from 0, and theta_d from 90 degrees: all of no solid angle would have no mean.
+NARROWEST = 1e-6
 
 
 @LOSSES.register("solid_angle_cosine_rms")
@@ -16,7 +20,8 @@ class SolidAngleCosineRMSLoss(CosineRMSLoss):
     w is the solid angle d(omega_i) d(omega_o) that a MERL bin stands for, but for a constant:
     sqrt(theta_h) sin(theta_h) sin(theta_d) cos(theta_d), since d(omega_i) d(omega_o) = 4 cos(theta_d) d(omega_h)
     d(omega_d) and MERL's bins are equal in sqrt(theta_h). On pairs that were drawn in another way the matching
-    weight is theirs: use CosineRMSLoss and pass it.
+    weight is theirs: use CosineRMSLoss and pass it. Angles count as at least 1e-6, so that exact mirror pairs alone,
+    which have no solid angle, still have a mean.
 
     Source: the metric of A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005,
     doi:10.2312/EGWR/EGSR05/117-126, "weighted by the cosine and the solid angle"; the formula of w is our reading.
@@ -41,5 +46,5 @@ class SolidAngleCosineRMSLoss(CosineRMSLoss):
 
 def solid_angle(pairs: Pairs) -> Tensor:
     """What a MERL bin at these angles covers of d(omega_i) d(omega_o), but for a constant, `(..., N)`."""
-    theta_h, theta_d = pairs.theta_h, pairs.theta_d
+    theta_h, theta_d = pairs.theta_h.clamp_min(NARROWEST), pairs.theta_d.clamp(NARROWEST, math.pi / 2 - NARROWEST)
     return theta_h.sqrt() * theta_h.sin() * theta_d.sin() * theta_d.cos()

@@ -42,7 +42,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
         >>> distinctness_of_image(load(standins()).batch([6])).shape
         torch.Size([1])
     """
-    off = torch.arange(0, LARGEST_ANGLE + STEP / 2, STEP, dtype=torch.float64)
+    off = torch.arange(0, LARGEST_ANGLE + STEP / 2, STEP, dtype=torch.float64, device="cpu")
     along = _luminance(measured, torch.full_like(off, LIGHT), off - LIGHT)
     start = along[:, 0]
     ratio = along / start[:, None]
@@ -65,7 +65,7 @@ def contrast_gloss(measured: Measured) -> Tensor:
 
     Source: see the module.
     """
-    light, viewer = torch.tensor([[LIGHT, 45.0], [-LIGHT, 0.0]], dtype=torch.float64)
+    light, viewer = torch.tensor([[LIGHT, 45.0], [-LIGHT, 0.0]], dtype=torch.float64, device="cpu")
     mirror, diffuse = _luminance(measured, light, viewer).clamp_min(0).unbind(-1)
     ratio = mirror / diffuse
     return torch.where((mirror > 0) & (diffuse > 0), ratio, torch.nan).log10()

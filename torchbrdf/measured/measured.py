@@ -123,7 +123,7 @@ def nearest_samples(source: BrdfFormat, pairs: Pairs, materials: list[int]) -> L
         points, wanted = own[material if len(own) > 1 else 0], asked[row if len(asked) > 1 else 0]
         _, index = KDTree(points[valid]).query(wanted)
         found.append(values[valid][torch.from_numpy(index)])
-        missed = torch.zeros(len(wanted), dtype=torch.bool)
+        missed = torch.zeros(len(wanted), dtype=torch.bool, device="cpu")
         if not valid.all():
             _, nearest = KDTree(points).query(wanted)
             missed = ~valid[torch.from_numpy(nearest)]
@@ -298,7 +298,8 @@ class Measured:
         pairs = self.source.pairs
         if max_theta < 90 and pairs.shape[0] == 1:
             keep = self._low(pairs, max_theta)[0]
-            samples = torch.arange(len(pairs)) if self.samples is None else self.samples.cpu()
+            every = torch.arange(len(pairs), dtype=torch.int64, device="cpu")
+            samples = every if self.samples is None else self.samples.cpu()
             limited.samples = samples[keep[samples]]
         return limited
 
@@ -382,6 +383,6 @@ class Measured:
         Returns:
             `(M, 3)`, without a unit.
         """
-        angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64)
+        angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
         value = self.at(Pairs.from_half_diff(angle, angle, torch.zeros_like(angle)))[:, 0]
         return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)

@@ -23,6 +23,7 @@ from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbo
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
 from torchbrdf.reading import reading
+from torchbrdf.precision import undisturbed
 
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)
@@ -240,6 +241,7 @@ def write_raw(path: str | Path, raw: np.ndarray) -> None:
 
 
 @lru_cache(1)
+@undisturbed()
 def bin_centers() -> Pairs:
     """Directions of the centres of MERL's bins, `(1, N)`, in the order of the table.
 
@@ -252,6 +254,7 @@ def bin_centers() -> Pairs:
 
 
 @lru_cache(1)
+@undisturbed()
 def _bin_rows() -> Tensor:
     return torch.from_numpy(np.flatnonzero(_above()))
 

@@ -90,7 +90,7 @@ class RglFile:
     def samples(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """wi and wo `(n, 3)`, f `(n, 3)` and validity `(n,)` where f was measured: every theta_i, every grid node."""
         height, width = self.spectrum.shape[1:3]
-        u, v = (torch.linspace(0, 1, size, dtype=torch.float64) for size in (width, height))
+        u, v = (torch.linspace(0, 1, size, dtype=torch.float64, device="cpu") for size in (width, height))
         x, y = self.warp.sample(u, v).flatten(1, 2).unbind(-1)
         theta_h, phi_h = x.square() * (math.pi / 2), (2 * y - 1) * math.pi
         half = torch.stack([theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos()], -1)

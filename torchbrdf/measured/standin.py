@@ -77,7 +77,7 @@ class StandIn(BrdfFormat):
             record = self.records[material]
             kinds.setdefault((record.model, record.lobes), []).append(row)
         return [
-            (rows, model_of([self.records[materials[row]] for row in rows]).to(device, dtype))
+            (rows, model_of([self.records[materials[row]] for row in rows], torch.float32).to(device, dtype))
             for rows in kinds.values()
         ]
 

@@ -32,7 +32,7 @@ class Warp:
 
     def _sample(self, u: Tensor, v: Tensor) -> Tensor:
         slices, height, width = self.density.shape
-        each = torch.arange(slices)[:, None]
+        each = torch.arange(slices, dtype=torch.int64, device=self.density.device)[:, None]
         v = v.expand(slices, -1).contiguous()
         row = (torch.searchsorted(self.marginal, v, right=True) - 1).clamp(0, height - 2)
         low, high = self.conditional[each, row], self.conditional[each, row + 1]

@@ -34,7 +34,7 @@ def uniform_pairs(count: int = 6000, max_theta: float = 80.0, seed: int = 0) -> 
     if count < 1:
         raise UsageError(f"uniform_pairs: count: expected at least 1, found {count}")
     check_max_theta(max_theta)
-    drawn = torch.rand(3, count, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    drawn = torch.rand(3, count, dtype=torch.float64, generator=torch.Generator("cpu").manual_seed(seed), device="cpu")
     theta_i, theta_o = drawn[:2] * math.radians(max_theta)
     phi = drawn[2] * (2 * math.pi)
     wi = torch.stack([theta_i.sin(), torch.zeros_like(phi), theta_i.cos()], -1)

@@ -71,8 +71,9 @@ class Comparisons:
                 stimuli[m].setdefault(name, len(stimuli[m]))
             places.append((observers[answer.observer], m, stimuli[m][answer.chosen], stimuli[m][answer.rejected]))
         n = max(len(names) for names in stimuli)
-        wins = torch.zeros(len(observers), len(materials), n, n, dtype=torch.float64)
-        wins.index_put_(torch.tensor(places).unbind(1), torch.ones(len(places), dtype=torch.float64), accumulate=True)
+        wins = torch.zeros(len(observers), len(materials), n, n, dtype=torch.float64, device="cpu")
+        index = torch.tensor(places, dtype=torch.int64, device="cpu").unbind(1)
+        wins.index_put_(index, torch.ones(len(places), dtype=torch.float64, device="cpu"), accumulate=True)
         return cls(list(materials), [list(names) for names in stimuli], list(observers), wins)
 
     @property
@@ -94,7 +95,9 @@ class Comparisons:
     def select(self, observers: Sequence[int]) -> "Comparisons":
         """Comparisons of some observers, by their numbers; materials and stimuli stay where they are."""
         return replace(
-            self, observers=[self.observers[k] for k in observers], wins=self.wins[torch.tensor(observers).long()]
+            self,
+            observers=[self.observers[k] for k in observers],
+            wins=self.wins[torch.tensor(observers, dtype=torch.int64, device="cpu")],
         )
 
     def check_connected(self) -> None:
@@ -140,7 +143,7 @@ def reachable(compared: Tensor) -> Tensor:
     Each stimulus is linked with itself. By squaring the matrix of links until chains of any length are in it.
     """
     n = compared.shape[-1]
-    links = ((compared > 0) | torch.eye(n, dtype=torch.bool)).to(torch.float32)
+    links = ((compared > 0) | torch.eye(n, dtype=torch.bool, device="cpu")).to(torch.float32)
     for _ in range(math.ceil(math.log2(max(n - 1, 1)))):
         links = (links @ links > 0).to(torch.float32)
     return links > 0
@@ -150,6 +153,8 @@ def connected(compared: Tensor) -> Tensor:
     """Whether all stimuli that were compared are linked: symmetric counts `(..., n, n)` to bool `(...)`."""
     present = (compared > 0).any(-1)
     both = present[..., :, None] & present[..., None, :]
-    if bool((compared > 0).logical_or(~both).logical_or(torch.eye(compared.shape[-1], dtype=torch.bool)).all()):
-        return torch.ones(compared.shape[:-2], dtype=torch.bool)
+    if bool(
+        (compared > 0).logical_or(~both).logical_or(torch.eye(compared.shape[-1], dtype=torch.bool, device="cpu")).all()
+    ):
+        return torch.ones(compared.shape[:-2], dtype=torch.bool, device="cpu")
     return (reachable(compared) | ~both).all(-1).all(-1)

@@ -96,7 +96,7 @@ def bootstrap(
     observers, materials, n, _ = comparisons.wins.shape
     counts = resample_counts(observers, draws, seed).double()
     wins, present = comparisons.wins.reshape(observers, -1), comparisons.present
-    scales = torch.empty(draws, materials, n, dtype=torch.float64)
+    scales = torch.empty(draws, materials, n, dtype=torch.float64, device="cpu")
     chunk = max(1, CHUNK // (materials * n * n))
     for first in range(0, draws, chunk):
         won = (counts[first : first + chunk] @ wins).reshape(-1, materials, n, n)

@@ -41,8 +41,8 @@ def goodness(
     pairs, n = (compared > 0).sum((-2, -1)) // 2, wins.shape[-1]
     dof = pairs - ((compared > 0).any(-1).sum(-1) - 1).clamp(min=0)
     statistic = likelihood_ratio(wins, scale)
-    generator = torch.Generator().manual_seed(seed)
-    larger = torch.zeros(len(wins), dtype=torch.float64)
+    generator = torch.Generator("cpu").manual_seed(seed)
+    larger = torch.zeros(len(wins), dtype=torch.float64, device="cpu")
     chunk = max(1, CHUNK // (len(wins) * n * n))
     for first in range(0, draws, chunk):
         count = min(chunk, draws - first)

@@ -51,7 +51,11 @@ class Scales:
         without draws.
         """
         ends = self.draws.new_tensor([0.025, 0.975])
-        drawn = self.draws.nanquantile(ends, 0) if len(self.draws) else torch.full((2, *self.value.shape), torch.nan)
+        drawn = (
+            self.draws.nanquantile(ends, 0)
+            if len(self.draws)
+            else torch.full((2, *self.value.shape), torch.nan, dtype=torch.float64, device="cpu")
+        )
         return [
             {
                 "material": material,

@@ -40,7 +40,9 @@ def least_squares(wins: Tensor) -> Tensor:
     z = torch.special.ndtri(win_rates(wins, compared)) * (compared > 0)
     matrix = laplacian((compared > 0).to(wins)) + null_space_projector(compared)
     # Parts that are not linked make it singular.
-    matrix = torch.where(whole[..., None, None], matrix, torch.eye(wins.shape[-1], dtype=wins.dtype))
+    matrix = torch.where(
+        whole[..., None, None], matrix, torch.eye(wins.shape[-1], dtype=wins.dtype, device=wins.device)
+    )
     scale = torch.linalg.solve(matrix, z.sum(-1))
     return scale.masked_fill(~(whole[..., None] & (compared > 0).any(-1)), torch.nan)
 
@@ -77,8 +79,8 @@ def maximum(wins: Tensor, prior: float = PRIOR) -> Tensor:
     n = wins.shape[-1]
     counts, pairs = wins.reshape(-1, n, n), compared.reshape(-1, n, n)
     precision, fixed = prior_precision(pairs, prior)[:, None], null_space_projector(pairs)
-    scale = torch.zeros(len(counts), n, dtype=wins.dtype)
-    rows = torch.arange(len(counts))
+    scale = torch.zeros(len(counts), n, dtype=wins.dtype, device=wins.device)
+    rows = torch.arange(len(counts), dtype=torch.int64, device="cpu")
     for _ in range(ITERATIONS):
         at, held = scale[rows], precision[rows]
         difference = at.unsqueeze(-1) - at.unsqueeze(-2)
@@ -158,7 +160,7 @@ def null_space_projector(compared: Tensor) -> Tensor:
 
 def centred(matrix: Tensor, compared: Tensor) -> Tensor:
     """Covariances `(..., n, n)` without the mean's part; nan for stimuli that were not compared."""
-    keep = torch.eye(matrix.shape[-1], dtype=matrix.dtype) - null_space_projector(compared)
+    keep = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device) - null_space_projector(compared)
     absent = ~(compared > 0).any(-1)
     return (keep @ matrix @ keep).masked_fill(absent.unsqueeze(-1) | absent.unsqueeze(-2), torch.nan)
 

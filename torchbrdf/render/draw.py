@@ -56,7 +56,9 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
         shaders = [(owner, shader) for owner, own in enumerate(run) for shader in own]
         drawn: list[Tensor] = []
         for pixel, parts in thread_map(partial(_light, [shader for _, shader in shaders]), scene.jobs()):
-            drawn = drawn or [torch.zeros(len(part), scene.size**2, 3) for part in parts]
+            drawn = drawn or [
+                torch.zeros(len(part), scene.size**2, 3, dtype=part.dtype, device=part.device) for part in parts
+            ]
             for picture, part in zip(drawn, parts, strict=True):
                 picture[:, pixel] += part
             done += len(pixel)

@@ -184,7 +184,9 @@ class RenderedLoss(ImageLoss):
     def subsample(self, problem: Problem) -> tuple["RenderedLoss", Problem]:
         """Some of the pixels, evenly spread over the directions that the surface faces."""
         step = max(len(self.transport.index) // _SUBSAMPLE, 1)
-        transport, kept = self.transport.select_rows(torch.arange(step // 2, len(self.transport.index), step))
+        index = self.transport.index
+        rows = torch.arange(step // 2, len(index), step, dtype=torch.int64, device=index.device)
+        transport, kept = self.transport.select_rows(rows)
         loss = self.surrogate()._replaced(self.surrogate().difference, transport, self.pairs.select(samples=kept))
         return loss, problem.select(samples=kept)
 

@@ -121,7 +121,7 @@ class Scene:
 
     @property
     def _jobs(self) -> list[tuple[Quadrature, Tensor]]:
-        whole = torch.arange(len(self._pixels))
+        whole = torch.arange(len(self._pixels), dtype=torch.int64, device="cpu")
         return [(part, rows) for part in self._quadratures for rows in whole.split(max(_CHUNK // part.length, 1))]
 
     @cached_property

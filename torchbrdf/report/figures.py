@@ -60,7 +60,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
     angle off the mirror direction on a logarithmic scale.
     """
     material = group.batch([group.names.index(records[0].material)])
-    model = model_of(list(records))
+    model = model_of(list(records), torch.float32)
     with new_figure(path, 11, 2.6, caveat(group.stand_in)) as figure:
         panels = figure.subplots(1, len(INCIDENT) + 1)
         for panel, incident in zip(panels, INCIDENT, strict=False):
@@ -166,6 +166,8 @@ def _curves(
 def in_plane(incident: float, outgoing: np.ndarray) -> Pairs:
     """Pairs in the plane of incidence, angles in degrees; the mirror direction is outgoing = incident. `(1, N)`."""
     light, viewer = math.radians(incident), torch.from_numpy(np.radians(outgoing))
-    wi = torch.tensor([-math.sin(light), 0.0, math.cos(light)], dtype=torch.float64).expand(1, len(outgoing), 3)
+    wi = torch.tensor([-math.sin(light), 0.0, math.cos(light)], dtype=torch.float64, device="cpu").expand(
+        1, len(outgoing), 3
+    )
     wo = torch.stack([viewer.sin(), torch.zeros_like(viewer), viewer.cos()], -1)[None]
     return Pairs.from_directions(wi, wo)

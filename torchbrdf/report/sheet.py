@@ -61,7 +61,7 @@ def draw_groups(
     linear = render(groups, scene, progress)
     tone = ToneMap.from_images(linear, scene.mask.expand(linear.shape[:-1]))
     display = tone(linear)
-    maps = torch.zeros(linear.shape[:-1])
+    maps = torch.zeros(linear.shape[:-1], dtype=linear.dtype, device="cpu")
     delta_e = [math.nan] * len(items)
     for k, item in enumerate(items):
         if item.reference is not None:
@@ -107,7 +107,7 @@ def write_sheet(
         for cell in cells:
             k, top = cell.item, cell.row * (1 + TITLE / side) + TITLE / side
             shown = COLOR_MAP(maps[k].numpy() / BRIGHTEST)[..., :3] if cell.is_map else display[k].numpy()
-            picture = to_bytes(composite(torch.as_tensor(shown), coverage))
+            picture = to_bytes(composite(torch.from_numpy(shown), coverage))
             axes.imshow(picture, extent=(cell.column + GAP, cell.column + 1 - GAP, top + 1 - 2 * GAP, top))
             said = f"mean ΔE {delta_e[k]:.2f}" if cell.is_map else _title(items[k])
             axes.text(cell.column + 0.5, top - GAP, said, fontsize=size, ha="center", va="bottom")

@@ -104,11 +104,11 @@ def minimize_lbfgs(
         raise ShapeError("minimize_lbfgs: a lower bound is above its upper bound")
     problems = start.shape[0]
     x = start.clamp(lower, upper)
-    all_rows = torch.arange(problems, device=start.device)
+    all_rows = torch.arange(problems, dtype=torch.int64, device=start.device)
     value, gradient = objective.value_and_gradient(x, all_rows)
     history = _Memory(min(memory, max(10, x.shape[1])), problems, x)
     status = [Status.MAX_ITERATIONS] * problems
-    iterations = torch.zeros(problems, dtype=torch.long)
+    iterations = torch.zeros(problems, dtype=torch.int64, device="cpu")
     fresh = torch.ones(problems, dtype=torch.bool, device=x.device)  # memory empty: nothing left to forget
 
     def stop(rows: Tensor, ended: Tensor, why: Status) -> Tensor:
@@ -167,7 +167,7 @@ def _line_search(
     accepted = torch.zeros(len(rows), dtype=torch.bool, device=x0.device)
     promise = torch.zeros_like(f0)
     step = torch.ones_like(f0)
-    left = torch.arange(len(rows), device=x0.device)
+    left = torch.arange(len(rows), dtype=torch.int64, device=x0.device)
     for _ in range(HALVINGS):
         point = (x0[left] + step[left, None] * direction[left]).clamp(low[left], high[left])
         value, gradient = objective.value_and_gradient(point, rows[left])

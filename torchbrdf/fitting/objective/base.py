@@ -55,7 +55,7 @@ class FitObjective(ABC):
     @property
     def material_indices(self) -> Tensor:
         """The materials, `(M,)`."""
-        return torch.arange(len(self), device=self.problem.target.device)
+        return torch.arange(len(self), dtype=torch.int64, device=self.problem.target.device)
 
     def is_every_material(self, materials: Tensor) -> bool:
         """Whether these are all, in their order, so that nothing need be picked."""
@@ -67,7 +67,7 @@ class FitObjective(ABC):
 
     def select(self, material: int) -> Self:
         """The same for one material."""
-        return type(self)(self.problem.select(torch.tensor([material])), self.loss)
+        return type(self)(self.problem.select(self.material_indices[material : material + 1]), self.loss)
 
     def subsample(self, samples: int, seed: int) -> Self:
         """The same on a stratified random subset of so many pairs; itself, if there are no more."""

@@ -40,8 +40,8 @@ class BinnedSums(Sums):
         """Value, gradient and matrix, as `Sums.totals` gives them, with those of the bins' residuals."""
         value, gradient, matrix = super().totals(jacobian)
         mass, factor = self._own(self.objective.assignment.mass), self.objective.mean_factor
-        slopes = (torch.as_tensor(self.mean_slopes) / mass).unflatten(1, (3, -1))
-        residual = (torch.as_tensor(self.means) / mass).flatten(1) @ factor
+        slopes = (self.mean_slopes / mass).unflatten(1, (3, -1))
+        residual = (self.means / mass).flatten(1) @ factor
         mean_jacobian = torch.einsum("rcqg,rcqp->rpcg", slopes, jacobian).flatten(2) @ factor
         value = value + residual.square().sum(1)
         gradient = gradient + 2 * (mean_jacobian @ residual[..., None])[..., 0]

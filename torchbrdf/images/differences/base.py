@@ -1,5 +1,6 @@
 """What an image difference is: one number for each pair of pictures, to report and to minimise."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import torch
@@ -7,8 +8,10 @@ from torch import Tensor, nn
 
 from torchbrdf.color import safe_power
 from torchbrdf.errors import ShapeError
+from torchbrdf.precision import widened, without_autocast
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
+from torchbrdf.roots import safe_norm
 
 DIFFERENCES: Registry[type["Difference"]] = Registry(
     "difference", "torchbrdf.images.differences", "torchbrdf.differences", lambda: Difference
@@ -23,6 +26,7 @@ class Difference(nn.Module):
 
     Pictures are `(B, H, W, 3)`, float: linear radiance if `linear`, else display values in [0, 1]. The mask, `(H, W)`
     or `(B, H, W)`, says which pixels count; elsewhere both pictures are taken for grey (0.5), whatever they hold.
+    Pictures of half precision are compared in float32, and what is found is given in theirs.
     Calling gives the figure that is reported; `loss` gives what a fit minimises, a measure of the same thing.
 
     A subclass registers itself, says what it compares, which way is better, in what unit and on how small a picture,
@@ -74,7 +78,7 @@ class Difference(nn.Module):
         Raises:
             ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
         """
-        return reduced(self.compare(*self._checked(image, reference, mask)), self.reduction)
+        return self._reduced(self.compare, image, reference, mask)
 
     def loss(self, image: Tensor, reference: Tensor, mask: Tensor | None = None) -> Tensor:
         """What a fit minimises: at least 0, and 0 for equal pictures; without a pixel that counts, nan.
@@ -92,7 +96,7 @@ class Difference(nn.Module):
         Raises:
             ShapeError: the pictures or the mask have other shapes, or the pictures are too small.
         """
-        return reduced(self.objective(*self._checked(image, reference, mask)), self.reduction)
+        return self._reduced(self.objective, image, reference, mask)
 
     def extra_repr(self) -> str:
         """The settings."""
@@ -105,6 +109,15 @@ class Difference(nn.Module):
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The loss, `(B,)`, of checked pictures: the figure, if nothing else is said."""
         return self.compare(image, reference, mask)
+
+    def _reduced(
+        self, measure: Callable[[Tensor, Tensor, Tensor], Tensor], image: Tensor, reference: Tensor, mask: Tensor | None
+    ) -> Tensor:
+        """A measure of checked pictures, those of half precision in float32 and without autocast, in their dtype."""
+        image, reference, mask = self._checked(image, reference, mask)
+        with without_autocast(image.device.type):
+            found = measure(widened(image), widened(reference), mask)
+        return reduced(found.to(image.dtype), self.reduction)
 
     def _checked(self, image: Tensor, reference: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         name = type(self).__name__
@@ -158,7 +171,7 @@ class PixelDifference(Difference):
         difference = self.encode(image) - self.encode(reference)
         if self.power == 2:
             return masked_mean(difference.square().mean(-1), mask)
-        return masked_mean(torch.linalg.vector_norm(difference, dim=-1), mask)
+        return masked_mean(safe_norm(difference), mask)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

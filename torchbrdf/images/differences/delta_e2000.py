@@ -9,6 +9,7 @@ from torchbrdf.color import safe_power
 from torchbrdf.images.differences.base import DIFFERENCES, Difference, masked_mean
 from torchbrdf.images.differences.delta_e76 import lab
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_norm
 
 # Colours of less chroma have no hue. Far below what can be seen, far above where float32 loses its square.
 _HUELESS = 1e-9
@@ -75,10 +76,10 @@ def ciede2000(first: Tensor, second: Tensor) -> Tensor:
     Source: G. Sharma, W. Wu, E. Dalal, The CIEDE2000 Color-Difference Formula: Implementation Notes, Supplementary
     Test Data, and Mathematical Observations, 2005, doi:10.1002/col.20070.
     """
-    mean_chroma = (_length(first[..., 1:]) + _length(second[..., 1:])) / 2
+    mean_chroma = (safe_norm(first[..., 1:]) + safe_norm(second[..., 1:])) / 2
     stretch = 1 + 0.5 * (1 - _saturation(mean_chroma))
     one, two = (torch.stack([x[..., 1] * stretch, x[..., 2]], -1) for x in (first, second))
-    chroma_one, chroma_two = _length(one), _length(two)
+    chroma_one, chroma_two = safe_norm(one), safe_norm(two)
     mean_chroma = (chroma_one + chroma_two) / 2
     mean_hue, turn = _hues(one, two, chroma_one > _HUELESS, chroma_two > _HUELESS)
 
@@ -125,11 +126,6 @@ def _hue_difference(one: Tensor, two: Tensor, product: Tensor, turn: Tensor) -> 
     square = (2 * (product - dot)).clamp_min(0)
     root = safe_power(square, 0.5) * turn.detach().sign()
     return torch.where(near, signed.square(), square), torch.where(near, signed, root)
-
-
-def _length(vectors: Tensor) -> Tensor:
-    """Length over the last dimension, with gradient 0 at 0."""
-    return torch.linalg.vector_norm(vectors, dim=-1)
 
 
 def _saturation(chroma: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 from kornia.color import rgb_to_linear_rgb
 from torch import Tensor
@@ -16,18 +17,18 @@ from torchbrdf.images.differences.base import (
     masked_mean,
 )
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_norm
 
 # Linear sRGB to XYZ, IEC 61966-2-1, exact, as the source has it; kornia's is rounded. Relative to white, (1, 1, 1).
-_XYZ = torch.tensor(
+_XYZ = np.array(
     [
         [10135552 / 24577794, 8788810 / 24577794, 4435075 / 24577794],
         [2613072 / 12288897, 8788810 / 12288897, 887015 / 12288897],
         [1425312 / 73733382, 8788810 / 73733382, 70074185 / 73733382],
-    ],
-    dtype=torch.float64,
+    ]
 )
-_TO_XYZ = _XYZ / _XYZ.sum(1, keepdim=True)
-_TO_RGB = torch.linalg.inv(_TO_XYZ)
+_TO_XYZ = (_XYZ / _XYZ.sum(1, keepdims=True)).tolist()
+_TO_RGB = np.linalg.inv(_TO_XYZ).tolist()
 # Contrast sensitivity: a and b of both Gaussians of each opponent channel, table 1.
 _SENSITIVITY = (
     ((1.0, 0.0047),),
@@ -125,7 +126,7 @@ class FLIP(Difference):
             strengths = []
             for picture in (first, second):
                 both = torch.cat([_convolved(picture, smooth, taps), _convolved(picture, taps, smooth)], 1)
-                strengths.append(torch.linalg.vector_norm(both, dim=1))
+                strengths.append(safe_norm(both, dim=1))
             changes.append((strengths[0] - strengths[1]).abs())
         return safe_power(torch.maximum(*changes) / math.sqrt(2), _FEATURE_POWER)
 
@@ -177,9 +178,9 @@ def _convolved(plane: Tensor, down: Tensor, across: Tensor) -> Tensor:
     return functional.conv2d(functional.conv2d(padded, down.view(1, 1, -1, 1)), across.view(1, 1, 1, -1))
 
 
-def _transformed(picture: Tensor, matrix: Tensor) -> Tensor:
+def _transformed(picture: Tensor, matrix: list[list[float]]) -> Tensor:
     """The matrix times every pixel of `(B, 3, H, W)`."""
-    return torch.einsum("ij,bjhw->bihw", matrix.to(picture), picture)
+    return torch.einsum("ij,bjhw->bihw", picture.new_tensor(matrix), picture)
 
 
 def _opponent(linear: Tensor) -> Tensor:
@@ -208,4 +209,4 @@ def _perceived(opponent: Tensor) -> Tensor:
 def _hyab(first: Tensor, second: Tensor) -> Tensor:
     """|dL| + sqrt(da^2 + db^2), `(B, H, W)`, of `(B, 3, H, W)`; its gradient is 0 where a term is 0."""
     apart = first - second
-    return apart[:, 0].abs() + torch.linalg.vector_norm(apart[:, 1:], dim=1)
+    return apart[:, 0].abs() + safe_norm(apart[:, 1:], dim=1)

@@ -99,7 +99,8 @@ def _dissimilarity(first: Tensor, second: Tensor, luminance: bool) -> Tensor:
     power = mean_first.square() + mean_second.square()
     apart = (mean_first - mean_second).square()
     variances = _blurred(first.square() + second.square()) - power
-    structure = (_blurred((first - second).square()) - apart) / (variances + _C2)
+    # Rounding may carry a variance below 0, and with it the similarity above 1.
+    structure = (_blurred((first - second).square()) - apart).clamp_min(0) / (variances.clamp_min(0) + _C2)
     if not luminance:
         return structure
     light = apart / (power + _C1)

@@ -146,7 +146,7 @@ def evaluate_brdfs(data: BenchmarkData, pairs: Pairs, through: ImageLoss | None 
             [observe(data.approximated(pairs, rows[k : k + _MATERIALS])) for k in range(0, len(rows), _MATERIALS)]
             or [pairs.cos_i.new_empty(0, len(pairs), 3)]
         ),
-        torch.tensor([place[name] for name in data.opinions.materials], dtype=torch.long),
+        torch.tensor([place[name] for name in data.opinions.materials], dtype=torch.long, device="cpu"),
         pairs if through is None else None,
     )
 
@@ -172,7 +172,7 @@ def distances(
     """
     if loss.reduction != "none":
         raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
-    found = torch.empty(len(first), dtype=torch.float64)
+    found = torch.empty(len(first), dtype=torch.float64, device="cpu")
     step = max(_BATCH_BYTES // (prediction[0].numel() * prediction.element_size()), 1)
     with torch.no_grad():
         for k in range(0, len(first), step):
@@ -197,7 +197,7 @@ def score_triplets(loss: Loss, brdfs: EvaluatedBrdfs, triplets: Triplets) -> Ten
     count = len(triplets.materials)
     reference, a, b = triplets.questions.unbind(1)
     place = torch.cat([reference * count + a, reference * count + b]).unique()
-    matrix = torch.full((count * count,), torch.nan, dtype=torch.float64)
+    matrix = torch.full((count * count,), torch.nan, dtype=torch.float64, device="cpu")
     matrix[place] = distances(
         loss, brdfs.materials, brdfs.materials, brdfs.pairs, place % count, place.div(count, rounding_mode="floor")
     )
@@ -206,5 +206,5 @@ def score_triplets(loss: Loss, brdfs: EvaluatedBrdfs, triplets: Triplets) -> Ten
 
 def score_opinions(loss: Loss, brdfs: EvaluatedBrdfs) -> Tensor:
     """Distances of approximations from their materials by a loss, `(R,)` float64. The material is the target."""
-    rows = torch.arange(len(brdfs.approximations))
+    rows = torch.arange(len(brdfs.approximations), dtype=torch.int64, device="cpu")
     return distances(loss, brdfs.approximations, brdfs.materials, brdfs.pairs, rows, brdfs.target)

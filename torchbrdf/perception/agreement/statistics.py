@@ -53,7 +53,7 @@ class DistanceComparisons:
         if resamples is None:
             return self._agreement_rate(concordant, self.weight[None], groups)[0]
         # One more, undrawn material, of multiplicity 1, stands where there is none.
-        times = torch.cat([resamples.double(), torch.ones(len(resamples), 1, dtype=torch.float64)], 1)
+        times = torch.cat([resamples.double(), torch.ones(len(resamples), 1, dtype=torch.float64, device="cpu")], 1)
         parts = []
         for part in times.split(max(_HELD // (8 * len(self) * 2), 1)):
             weight = self.weight.expand(len(part), -1).clone()
@@ -78,13 +78,18 @@ def majorities(triplets: Triplets) -> DistanceComparisons:
     """
     chosen = triplets.select(triplets.decided)
     swap = chosen.votes[:, 1] > chosen.votes[:, 0]
-    return _triples(chosen, swap, torch.ones(len(chosen), dtype=torch.float64))
+    return _triples(chosen, swap, torch.ones(len(chosen), dtype=torch.float64, device="cpu"))
 
 
 def single_votes(triplets: Triplets) -> DistanceComparisons:
     """One comparison for every vote of every question, ties too; distances as for `majorities`."""
     first, second = (
-        _triples(triplets, torch.full((len(triplets),), bool(k)), triplets.votes[:, k].double()) for k in (0, 1)
+        _triples(
+            triplets,
+            torch.full((len(triplets),), bool(k), dtype=torch.bool, device="cpu"),
+            triplets.votes[:, k].double(),
+        )
+        for k in (0, 1)
     )
     return DistanceComparisons(
         *(torch.cat(pair) for pair in zip(vars(first).values(), vars(second).values(), strict=True)),
@@ -153,7 +158,7 @@ def _rows(
         nearer=torch.where(swap, second, first),
         farther=torch.where(swap, first, second),
         materials=torch.stack([one, torch.where(one == other, -1, other)], 1),
-        weight=torch.ones(len(first), dtype=torch.float64),
+        weight=torch.ones(len(first), dtype=torch.float64, device="cpu"),
         group=torch.zeros_like(first) if group is None else group[first].unique(return_inverse=True)[1],
     )
 
@@ -161,14 +166,14 @@ def _rows(
 def _label_indices(names: Sequence[str]) -> Tensor:
     """The place of each name among the sorted different ones."""
     place = {name: k for k, name in enumerate(sorted(set(names)))}
-    return torch.tensor([place[name] for name in names], dtype=torch.long)
+    return torch.tensor([place[name] for name in names], dtype=torch.long, device="cpu")
 
 
 def _pairs(label: Tensor) -> tuple[Tensor, Tensor]:
     """Places of two different rows with the same label, each two once."""
     if label.dim() != 1:
         raise ShapeError(f"expected labels (R,), found {(*label.shape,)}")
-    first, second = torch.triu_indices(len(label), len(label), 1)
+    first, second = torch.triu_indices(len(label), len(label), 1, device="cpu")
     same = label[first] == label[second]
     return first[same], second[same]
 

@@ -125,7 +125,7 @@ def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str]
     own_tables = [method for method in without if method in opinions.methods]
     for added in ("", *own_tables):
         rows = [row for row, method in enumerate(opinions.methods) if method == added or method not in own_tables]
-        found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long), added)
+        found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long, device="cpu"), added)
     return [one for one in found if len(one.comparisons)]
 
 
@@ -166,10 +166,10 @@ def tabulate(
     losses = list(distances)
     shape = (len(columns), len(losses))
     value, ceiling = (
-        torch.full(shape, torch.nan, dtype=torch.float64),
-        torch.full((len(columns), 3), torch.nan).double(),
+        torch.full(shape, torch.nan, dtype=torch.float64, device="cpu"),
+        torch.full((len(columns), 3), torch.nan, dtype=torch.float64, device="cpu"),
     )
-    drawn = torch.full((len(columns), replicates, len(losses)), torch.nan, dtype=torch.float64)
+    drawn = torch.full((len(columns), replicates, len(losses)), torch.nan, dtype=torch.float64, device="cpu")
     for s, one in enumerate(columns):
         resamples = resample_counts(one.materials, replicates, seed)
         known = [k for k, loss in enumerate(losses) if getattr(distances[loss], one.data) is not None]

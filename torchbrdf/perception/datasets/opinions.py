@@ -54,7 +54,7 @@ class Opinions:
         return Opinions(
             [self.methods[row] for row in rows],
             [self.materials[row] for row in rows],
-            self.distance[torch.tensor(rows, dtype=torch.long)],
+            self.distance[torch.tensor(rows, dtype=torch.long, device="cpu")],
         )
 
 
@@ -94,7 +94,7 @@ def read_opinions(path: Path | str) -> Opinions:
             raise DataError(f"{path}: line {line}: {row[0]} of {row[1]} is already in line {before}")
         distance.append(value)
     methods, materials = map(list, zip(*lines, strict=True))
-    return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64))
+    return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64, device="cpu"))
 
 
 def _number(text: str) -> float:

@@ -222,7 +222,7 @@ def _numbers(where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...]
         raise DataError(f"{where}: expected {_kind(shape)}, found {_shown(found)}")
     if not all(math.isfinite(x) and (x > 0 or not positive) for x in flat):
         raise DataError(f"{where}: expected finite numbers{' above 0' * positive}, found {_shown(found)}")
-    return torch.tensor(flat, dtype=torch.float64).reshape(shape)
+    return torch.tensor(flat, dtype=torch.float64, device="cpu").reshape(shape)
 
 
 def _flat(found: Any, shape: tuple[int, ...]) -> list[Any] | None:

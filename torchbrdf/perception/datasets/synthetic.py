@@ -27,7 +27,10 @@ class Guess:
     def of(self, materials: Sequence[str]) -> Lobe:
         """Batched model of some materials."""
         rows = [self.materials.index(name) for name in materials]
-        lobe = Ward(specular=torch.full((len(rows), 3), 0.1), roughness=torch.full((len(rows), 1), self.roughness))
+        lobe = Ward(
+            specular=torch.full((len(rows), 3), 0.1, dtype=torch.float32, device="cpu"),
+            roughness=torch.full((len(rows), 1), self.roughness, dtype=torch.float32, device="cpu"),
+        )
         return Sum(Lambert(albedo=self.diffuse[rows]), lobe)
 
 
@@ -38,7 +41,7 @@ def synthetic_benchmark(questions: int = 300, seed: int = 0) -> BenchmarkData:
 
     Nobody was asked: such answers only show that all works.
     """
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator("cpu").manual_seed(seed)
     measured = load(standins(), dtype=torch.float64)
     names, pairs = sorted(measured.names), uniform_pairs(500, seed=seed)
     measured = measured.batch([measured.names.index(name) for name in names])
@@ -46,17 +49,17 @@ def synthetic_benchmark(questions: int = 300, seed: int = 0) -> BenchmarkData:
     guesses = {f"GUESS-{k}": Guess(names, diffuse, rough) for k, rough in enumerate((0.05, 0.15, 0.4), 1)}
     values = measured.at(pairs).clamp_min(0).pow(1 / 3)
 
-    order = torch.rand(questions, len(names), generator=generator).argsort(1)[:, :3]
+    order = torch.rand(questions, len(names), generator=generator, dtype=torch.float32, device="cpu").argsort(1)[:, :3]
     away = [(values[order[:, k]] - values[order[:, 0]]).abs().mean((1, 2)) for k in (1, 2)]
     chance = torch.special.ndtr((away[1] - away[0]) / 0.1)
-    first = (torch.rand(questions, 5, generator=generator, dtype=torch.float64) < chance[:, None]).sum(1)
+    first = (torch.rand(questions, 5, generator=generator, dtype=torch.float64, device="cpu") < chance[:, None]).sum(1)
     triplets = Triplets(names, order, torch.stack([first, 5 - first], 1))
 
     methods = [method for method in guesses for _ in names]
     with torch.no_grad():
         shown = torch.cat([guess.of(names).to(dtype=torch.float64)(pairs) for guess in guesses.values()])
     error = (shown.clamp_min(0).pow(1 / 3) - values.repeat(len(guesses), 1, 1)).abs().mean((1, 2))
-    noise = 0.03 * torch.randn(len(error), generator=generator, dtype=torch.float64)
+    noise = 0.03 * torch.randn(len(error), generator=generator, dtype=torch.float64, device="cpu")
     return BenchmarkData(
         measured, triplets, Opinions(methods, names * len(guesses), (error / error.max() + noise).clamp(0, 1)), guesses
     )

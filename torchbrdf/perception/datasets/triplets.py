@@ -100,7 +100,7 @@ def _integers(data: dict[str, Any], key: str, width: int, path: Path) -> Tensor:
     for place, row in enumerate(rows):
         if not isinstance(row, list) or len(row) != width or not all(type(entry) is int for entry in row):
             raise DataError(f"{path}: {key}[{place}]: expected {width} integers, found {row!r}")
-    return torch.tensor(rows, dtype=torch.long)
+    return torch.tensor(rows, dtype=torch.long, device="cpu")
 
 
 def _refuse(bad: Tensor, rows: Tensor, path: Path, expected: str) -> None:

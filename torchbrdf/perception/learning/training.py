@@ -13,6 +13,7 @@ from torchbrdf.losses.learned import THETA_H_BINS, pack_weights
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
+from torchbrdf.precision import undisturbed
 
 # What the mean likelihood of each part of the answers counts.
 PART_WEIGHT = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
@@ -73,6 +74,7 @@ def negative_log_likelihood(
     return total
 
 
+@undisturbed()
 def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     """Train weights on what a split learns from, by L-BFGS from equal weights; the rest judges.
 
@@ -85,7 +87,7 @@ def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
     roots = start.clone().requires_grad_()
     share = torch.zeros_like(unit)
     share[:THETA_H_BINS] = MIN_POINTWISE_SHARE / (1 - MIN_POINTWISE_SHARE) / THETA_H_BINS
-    slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True, device="cpu")
     parts = [
         {name: select_judgments(training_set, own, split, seen=seen) for name, own in training_set.judgments.items()}
         for seen in (True, False)
@@ -130,11 +132,11 @@ def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split
 
     In the first of them, one method after the other is left out as well.
     """
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator("cpu").manual_seed(seed)
     count = len(training_set.names)
     for repeat in range(repeats):
-        chosen = torch.zeros(count, dtype=torch.bool)
-        chosen[torch.randperm(count, generator=generator)[: count // 2]] = True
+        chosen = torch.zeros(count, dtype=torch.bool, device="cpu")
+        chosen[torch.randperm(count, generator=generator, device="cpu")[: count // 2]] = True
         for fold, own in enumerate((chosen, ~chosen)):
             yield Split(f"half-{repeat}-{fold}", own)
             if not repeat and len(training_set.methods) > 1:
@@ -160,7 +162,7 @@ def baseline_distances(
     between = training_set.method < 0
     found = {}
     for name, loss in losses.items():
-        distance = torch.empty(len(training_set.features), dtype=torch.float64)
+        distance = torch.empty(len(training_set.features), dtype=torch.float64, device="cpu")
         for own, values in ((between, seen.materials), (~between, seen.approximations)):
             place = training_set.first[own], training_set.second[own]
             distance[own] = distances(loss, values, seen.materials, seen.pairs, *place)

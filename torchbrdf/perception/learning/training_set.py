@@ -73,7 +73,7 @@ def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Col
     if not len(opinions) or not len(triplets):
         raise DataError("a training set: expected questions and opinions, found none")
     methods = sorted(set(opinions.methods))
-    rows = torch.tensor(kept, dtype=torch.long)
+    rows = torch.tensor(kept, dtype=torch.long, device="cpu")
     target = brdfs.target[rows]
     reference, a, b = triplets.questions.unbind(1)
     count = len(names)
@@ -95,7 +95,7 @@ def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Col
         ),
         torch.cat([one, rows]),
         torch.cat([other, target]),
-        torch.tensor([-1] * between + own, dtype=torch.long),
+        torch.tensor([-1] * between + own, dtype=torch.long, device="cpu"),
         judgments,
         {"majority": _majorities(triplets, numbers, count)}
         | {name: _placed(part, target, between) for name, part in counted.items()},
@@ -113,21 +113,21 @@ def training_set_from_choices(
     if not len(pairs):
         raise DataError("a training set: expected choices, found none")
     methods = sorted(set(stimuli))
-    rows = torch.arange(len(stimuli))
+    rows = torch.arange(len(stimuli), dtype=torch.int64, device="cpu")
     first, second = pairs.unbind(1)
     cast = votes.double()
     material = brdfs.target[first][:, None]
     swap = votes[:, 1] > votes[:, 0]
     decided = votes[:, 0] != votes[:, 1]
     near, far = torch.where(swap, second, first)[decided], torch.where(swap, first, second)[decided]
-    plain = torch.ones(len(near), dtype=torch.float64), torch.zeros_like(near)
+    plain = torch.ones(len(near), dtype=torch.float64, device="cpu"), torch.zeros_like(near)
     return TrainingSet(
         names,
         methods,
         features_of(brdfs, brdfs.approximations, rows, brdfs.target),
         rows,
         brdfs.target,
-        torch.tensor([methods.index(name) for name in stimuli], dtype=torch.long),
+        torch.tensor([methods.index(name) for name in stimuli], dtype=torch.long, device="cpu"),
         {"choices": Judgments(first, second, cast[:, 0] / cast.sum(1), cast.sum(1), material)},
         {"choices": DistanceComparisons(near, far, material[decided], *plain)},
     )
@@ -156,8 +156,10 @@ def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
     method, start = [], 0
     for training_set in training_sets:
         # One more place at the end stands for none, as -1 does.
-        place = torch.tensor([*(names.index(name) for name in training_set.names), -1])
-        kind = torch.tensor([*(methods.index(name) for name in training_set.methods), -1])
+        place = torch.tensor([*(names.index(name) for name in training_set.names), -1], dtype=torch.int64, device="cpu")
+        kind = torch.tensor(
+            [*(methods.index(name) for name in training_set.methods), -1], dtype=torch.int64, device="cpu"
+        )
         method.append(kind[training_set.method])
         for name, part in training_set.judgments.items():
             shifted = Judgments(part.first + start, part.second + start, part.share, part.count, place[part.materials])

@@ -122,7 +122,7 @@ class Environment:
         if height != width:
             planes = F.pad(planes, (1, 1, 0, 0), mode="circular")
         fine = RESOLUTION * _SUPERSAMPLING
-        step = (torch.arange(fine) + 0.5) * (2 / fine) - 1
+        step = (torch.arange(fine, dtype=torch.float32, device="cpu") + 0.5) * (2 / fine) - 1
 
         def strip(rows: Tensor) -> Tensor:
             second, first = torch.meshgrid(rows, step, indexing="ij")
@@ -146,7 +146,7 @@ class Environment:
         """All levels, padded, as rows of one table, and where each starts: whole numbers that float32 has exactly."""
         levels = [padded(level).reshape(-1, 3) for level in self._pyramid]
         starts = [sum(len(level) for level in levels[:k]) for k in range(len(levels))]
-        return torch.cat(levels), torch.tensor(starts, dtype=torch.float32)
+        return torch.cat(levels), torch.tensor(starts, dtype=torch.float32, device=self.texels.device)
 
     def _turned(self, directions: Tensor, degrees: float) -> Tensor:
         angle = math.radians(degrees)
@@ -209,9 +209,9 @@ class Environment:
             largest = F.max_pool2d(gains[0].movedim(-1, 0), 2).movedim(0, -1)
             gains.insert(0, torch.maximum(variance, largest))
         gain = torch.cat([level.flatten() for level in gains[:-1]])
-        split = torch.zeros(sum(level.numel() for level in gains), dtype=torch.bool)
+        split = torch.zeros(sum(level.numel() for level in gains), dtype=torch.bool, device="cpu")
         split[gain.argsort(descending=True, stable=True)[: (count - 1) // 3]] = True
-        leaves, exists = [], torch.ones(1, 1, dtype=torch.bool)
+        leaves, exists = [], torch.ones(1, 1, dtype=torch.bool, device="cpu")
         for level, divided in zip(nodes, split.split([level.numel() for level in gains]), strict=True):
             divided = exists & divided.reshape(exists.shape)
             leaves.append(level[exists & ~divided & (level[..., 3] > 0)])
@@ -223,7 +223,7 @@ class Environment:
 
 def _stack_columns(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
     """Parts `(...)` as columns, `(N, k)`: what torch.stack does, in half the time."""
-    whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype)
+    whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype, device=parts[0].device)
     for column, part in enumerate(parts):
         whole[..., column] = part
     return whole.reshape(-1, len(parts))

@@ -37,7 +37,7 @@ def to_sphere(first: Tensor, second: Tensor) -> Tensor:
 
 def texel_centers(resolution: int, dtype: torch.dtype = torch.float32) -> Tensor:
     """Directions of the texels' centres, `(resolution, resolution, 3)`; the first coordinate runs along a row."""
-    step = (torch.arange(resolution, dtype=torch.float64) + 0.5) * (2 / resolution) - 1
+    step = (torch.arange(resolution, dtype=torch.float64, device="cpu") + 0.5) * (2 / resolution) - 1
     second, first = torch.meshgrid(step, step, indexing="ij")
     return to_sphere(first, second).to(dtype)
 

@@ -18,8 +18,8 @@ _EDGE = 0.04
 
 def make_studio(height: int = 256) -> Tensor:
     """A latitude-longitude picture `(height, 2 height, 3)`, linear: three lamps with soft edges in a plain room."""
-    polar = (torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height)
-    azimuth = (torch.arange(2 * height, dtype=torch.float64) + 0.5) * (math.pi / height) - math.pi
+    polar = (torch.arange(height, dtype=torch.float64, device="cpu") + 0.5) * (math.pi / height)
+    azimuth = (torch.arange(2 * height, dtype=torch.float64, device="cpu") + 0.5) * (math.pi / height) - math.pi
     polar, azimuth = torch.meshgrid(polar, azimuth, indexing="ij")
     directions = torch.stack([polar.sin() * azimuth.sin(), polar.cos(), -polar.sin() * azimuth.cos()], -1)
     up = directions[..., 1:2]

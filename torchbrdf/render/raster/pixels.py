@@ -58,7 +58,8 @@ def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pix
     pixel = seen.any(1).nonzero()[:, 0]
     if not len(pixel):
         raise DataError(f"scene: nothing to see; the mesh covers no point of {size} x {size} pixels")
-    chosen = torch.tensor(_PRIORITY)[seen[pixel][:, _PRIORITY].to(torch.uint8).argmax(1)]
+    order = torch.tensor(_PRIORITY, dtype=torch.int64, device="cpu")
+    chosen = order[seen[pixel][:, _PRIORITY].to(torch.uint8).argmax(1)]
     position = blocks(torch.from_numpy(fine.position))[pixel, chosen]
     normal = blocks(torch.from_numpy(fine.normal))[pixel, chosen]
     face = blocks(torch.from_numpy(fine.triangle))[pixel, chosen]
@@ -91,7 +92,8 @@ def _frames(normal: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
     cosine = (normal * outgoing).sum(-1, keepdim=True)
     across = outgoing - cosine * normal
     sine = across.norm(dim=-1, keepdim=True)
-    anything = torch.linalg.cross(normal, torch.eye(3).to(normal)[normal.abs().argmin(-1)])
+    axes = torch.eye(3, dtype=normal.dtype, device=normal.device)
+    anything = torch.linalg.cross(normal, axes[normal.abs().argmin(-1)])
     tangent = F.normalize(torch.where(sine > 1e-9, across, anything), dim=-1)
     frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], 1)
     return frame, torch.stack([sine, torch.zeros_like(sine), cosine])[..., 0]

@@ -77,8 +77,9 @@ class HalfVectorQuadrature:
     @cached_property
     def nodes(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Half vectors `(3, n)` of the spiral; of each, `(n,)`: tan^2 theta_h, 4 d(omega_h), and the weight s."""
-        edge = torch.linspace(0, 1, self.length + 1, dtype=torch.float64) ** _SHARPENING * math.radians(FAR)
-        order = torch.arange(self.length, dtype=torch.float64)
+        edge = torch.linspace(0, 1, self.length + 1, dtype=torch.float64, device="cpu")
+        edge = edge**_SHARPENING * math.radians(FAR)
+        order = torch.arange(self.length, dtype=torch.float64, device="cpu")
         theta = ((order + 0.5) / self.length) ** _SHARPENING * math.radians(FAR)
         azimuth = order * _GOLDEN
         half = torch.stack([theta.sin() * azimuth.cos(), theta.sin() * azimuth.sin(), theta.cos()])
@@ -103,7 +104,7 @@ class HalfVectorQuadrature:
         """Bins by node and theta_o."""
         theta_o = torch.atan2(*self.pixels.outgoing[[0, 2]][:, rows])
         step = (theta_o * (_STEPS / (math.pi / 2))).long().clamp(0, _STEPS - 1)
-        bins = step[:, None] * self.length + torch.arange(self.length)
+        bins = step[:, None] * self.length + torch.arange(self.length, dtype=torch.int64, device="cpu")
         return bins.flatten(), theta_o[:, None].expand(bins.shape).reshape(1, -1)
 
     def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
@@ -147,7 +148,7 @@ class LightQuadrature:
         """Bins by half and difference angles."""
         place = torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
         share = (place[0] / (math.pi / 2)).sqrt(), place[1] / (math.pi / 2), place[2] / math.pi
-        bins = torch.zeros(place.shape[1], dtype=torch.int64)
+        bins = torch.zeros(place.shape[1], dtype=torch.int64, device="cpu")
         for one, count in zip(share, self.resolution, strict=True):
             bins = bins * count + (one * count).long().clamp(0, count - 1)
         return bins, place
@@ -182,7 +183,7 @@ class PunctualQuadrature:
 
     def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
         """Bins of one pair each."""
-        bins = rows[:, None] * self.length + torch.arange(self.length)
+        bins = rows[:, None] * self.length + torch.arange(self.length, dtype=torch.int64, device="cpu")
         return bins.flatten(), torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
 
     def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:

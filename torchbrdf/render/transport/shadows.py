@@ -61,10 +61,10 @@ class Occluder:
         Any number of threads may ask at once: Embree's queries change nothing, and run without Python's lock.
         """
         shape = direction.shape[:2]
-        wanted = torch.ones(shape, dtype=torch.bool) if wanted is None else wanted
+        wanted = torch.ones(shape, dtype=torch.bool, device="cpu") if wanted is None else wanted
         start = torch.from_numpy(self._starts(origin, direction, wanted))
-        reach = None if limit is None else torch.as_tensor(limit, dtype=torch.float32).expand(shape)
-        seen = torch.zeros(shape, dtype=torch.bool)
+        reach = None if limit is None else torch.as_tensor(limit, dtype=torch.float32, device="cpu").expand(shape)
+        seen = torch.zeros(shape, dtype=torch.bool, device="cpu")
         for point, light in zip(*(index.split(_CHUNK) for index in wanted.nonzero(as_tuple=True)), strict=True):
             # A light that touches the surface is not behind it.
             far = None if reach is None else (reach[point, light] * (1 - 1e-5) - 2 * self._clearance).clamp_min(0)

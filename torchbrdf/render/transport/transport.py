@@ -59,7 +59,8 @@ class Block:
         turned = sparse.csr_matrix((order, self.column.numpy(), self.start.numpy()), shape).tocsc()
         rows, start, entry = (torch.from_numpy(part) for part in (turned.indices, turned.indptr, turned.data))
         value = torch.stack([one[entry.long()] for one in self.value])
-        return Block(torch.arange(columns), start.to(torch.int32), self.rows.to(torch.int32)[rows.long()], value)
+        every = torch.arange(columns, dtype=torch.int64, device="cpu")
+        return Block(every, start.to(torch.int32), self.rows.to(torch.int32)[rows.long()], value)
 
 
 class Transport:
@@ -129,20 +130,20 @@ class Transport:
 
     def select_rows(self, rows: Tensor) -> tuple["Transport", Tensor]:
         """Only some rows, and only the pairs that these need: the new transport, and which of the pairs it keeps."""
-        wanted = torch.full((len(self.index),), -1, dtype=torch.int64)
-        wanted[rows] = torch.arange(len(rows))
+        wanted = torch.full((len(self.index),), -1, dtype=torch.int64, device=self.index.device)
+        wanted[rows] = torch.arange(len(rows), dtype=torch.int64, device=self.index.device)
         parts = []
         for block in self.blocks:
             own = (wanted[block.rows] >= 0).nonzero()[:, 0]
             lengths = (block.start[1:] - block.start[:-1])[own].long()
             end = lengths.cumsum(0)
-            entry = torch.arange(int(end[-1]) if len(end) else 0) + (
+            entry = torch.arange(int(end[-1]) if len(end) else 0, dtype=torch.int64, device=end.device) + (
                 block.start[:-1][own] - end + lengths
             ).repeat_interleave(lengths)
             parts.append(
                 Block(wanted[block.rows[own]], F.pad(end, (1, 0)).int(), block.column[entry], block.value[:, entry])
             )
-        kept = torch.zeros(self.count, dtype=torch.bool)
+        kept = torch.zeros(self.count, dtype=torch.bool, device=self.index.device)
         for part in parts:
             kept[part.column.long()] = True
         place = (kept.cumsum(0) - 1).to(torch.int32)
@@ -219,8 +220,8 @@ def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[P
     columns, known, first = [], [], 0
     for part, total in zip(parts, sums, strict=True):
         filled = np.flatnonzero(total[0])
-        column = torch.full((part.bins,), -1, dtype=torch.int32)
-        column[torch.from_numpy(filled)] = torch.arange(first, first + len(filled), dtype=torch.int32)
+        column = torch.full((part.bins,), -1, dtype=torch.int32, device="cpu")
+        column[torch.from_numpy(filled)] = torch.arange(first, first + len(filled), dtype=torch.int32, device="cpu")
         columns.append(column)
         first += len(filled)
         mean = torch.from_numpy(total[1:, filled] / total[0, filled])
@@ -250,7 +251,7 @@ def merge_blocks(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Q
         own[parts.index(part)].append(block)
     found = []
     for several in own:
-        starts, first = [torch.zeros(1, dtype=torch.int32)], 0
+        starts, first = [torch.zeros(1, dtype=torch.int32, device="cpu")], 0
         for block in several:
             starts.append(block.start[1:] + first)
             first += len(block.column)
