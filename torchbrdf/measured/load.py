@@ -10,6 +10,7 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
+from torchbrdf.names import clean_name
 
 log = logging.getLogger("torchbrdf")
 
@@ -112,7 +113,8 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
 
 def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
     source = FORMATS[name].open(paths)
-    source.names = _unique(source.names, source.paths)
+    # A name becomes a file's name and a line on pages: one that a file's stem gives may be anything.
+    source.names = _unique([clean_name(one) for one in source.names], source.paths)
     return Measured(source, dtype=dtype, device=device)
 
 
@@ -120,7 +122,7 @@ def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """Names with the folder in front where they are not unique, and a number behind where that does not help."""
     count = Counter(names)
     names = [
-        name if count[name] == 1 else f"{path.resolve().parent.name}-{name}"
+        name if count[name] == 1 else clean_name(f"{path.resolve().parent.name}-{name}")
         for name, path in zip(names, paths, strict=True)
     ]
     return number_repeats(names, "-")
