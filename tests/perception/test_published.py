@@ -310,6 +310,14 @@ def test_bad_fields_are_named(field: str, value: Any, message: str, tmp_path: Pa
         read_published(path)
 
 
+def test_numbers_that_make_no_finite_parameter_are_named(tmp_path: Path) -> None:
+    fit = {"diffuse": [0.1] * 3, "model": "Bagher", "eta": [[0.1] * 3] * 2}
+    fit |= {name: [0.5] * 3 for name in ("specular", "alpha", "p", "K", "Lambda", "c", "k", "theta0")}
+    path = write(tmp_path, {"bagher_sgd": {"tin": fit, "zinc": {**fit, "k": [0.5, 1e-310, 0.5]}}})
+    with pytest.raises(DataError, match=rf"^{path}: bagher_sgd, zinc: expected numbers that make a finite reach$"):
+        read_published(path)
+
+
 def test_bad_files_are_named(tmp_path: Path) -> None:
     missing = tmp_path / "none.json"
     with pytest.raises(

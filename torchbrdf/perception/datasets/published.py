@@ -209,6 +209,11 @@ def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, chann
         scale = diffuse.new_tensor(CHANNEL_FACTORS)
         diffuse, values["specular"] = diffuse * scale, values["specular"] * scale
     dtype = dtype or torch.get_default_dtype()
+    for parameter, rows in {"albedo": diffuse, **values}.items():
+        odd = (~rows.to(dtype).isfinite()).flatten(1).any(1).nonzero()
+        if len(odd):
+            material = list(fits)[int(odd[0])]
+            raise DataError(f"{path}: {name}, {material}: expected numbers that make a finite {parameter}")
     model = Sum(Lambert(albedo=diffuse, dtype=dtype), LOBES[reading.lobe](dtype=dtype, **values))
     return PublishedFits(name, reading.source, list(fits), model)
 
