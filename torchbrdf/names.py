@@ -88,6 +88,17 @@ def math_text(name: str) -> str:
     return name.replace("$", r"\$")
 
 
+def is_one_line(text: str) -> bool:
+    r"""Whether a text is one printable line; no-break and other spaces are printed, too.
+
+    Example:
+        >>> from torchbrdf.names import is_one_line
+        >>> is_one_line("a / b\u00a0c"), is_one_line("a\nb")
+        (True, False)
+    """
+    return text.isprintable() or all(map(_is_seen, text))
+
+
 def _is_seen(character: str) -> bool:
     """Whether it is printed; spaces of all widths are, ends of lines are not."""
     return character.isprintable() or unicodedata.category(character) == "Zs"

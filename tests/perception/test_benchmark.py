@@ -9,11 +9,13 @@ import pytest
 import torch
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.experiment.benchmark import read_distances
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.perception import Distances, statistics_of, tabulate
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+from torchbrdf.reading import write_npz
 from torchbrdf.recipe import RECIPES, configure, run
 from torchbrdf.report.human_page import trained
 
@@ -76,6 +78,25 @@ def test_what_is_scored_is_not_scored_again(out, monkeypatch):
     monkeypatch.setattr("torchbrdf.experiment.benchmark.evaluate_brdfs", no_need)
     run(benchmark(**SETTINGS), out)
     assert (out / "scores.json").read_text() == scores
+
+
+def test_distances_that_were_changed_are_refused_and_those_of_others_scored_again(tmp_path):
+    path = tmp_path / "rms.npz"
+    good = {"triplets": np.full((3, 3), np.nan), "opinions": np.ones(5)}
+    assert read_distances(path, 3, 5) is None
+    write_npz(path, good, compressed=True)
+    whole = path.read_bytes()
+    assert read_distances(path, 3, 5).opinions.tolist() == [1] * 5
+    assert read_distances(path, 3, 6) is None and read_distances(path, 4, 5) is None
+    bad = [whole[:-30], b"", whole.replace(b"triplets", b"tripletz")]
+    for arrays in ({"opinions": np.ones(5)}, good | {"opinions": np.array(["x"] * 5)}, good | {"other": np.ones(1)}):
+        write_npz(path, arrays)
+        bad.append(path.read_bytes())
+    np.savez(path, **good)
+    for data in (*bad, path.read_bytes()):
+        path.write_bytes(data)
+        with pytest.raises(DataError, match=r"rms\.npz: expected the distances of a loss \(remove it to score again\)"):
+            read_distances(path, 3, 5)
 
 
 @pytest.mark.parametrize(

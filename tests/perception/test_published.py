@@ -290,11 +290,11 @@ def test_a_set(tmp_path: Path) -> None:
         ("roughness", None, "roughness: expected a number, found None"),
         ("roughness", [0.1], r"roughness: expected a number, found \[0.1\]"),
         ("roughness", True, "roughness: expected a number, found True"),
-        ("roughness", math.nan, "roughness: expected finite numbers above 0, found nan"),
-        ("roughness", 0.0, "roughness: expected finite numbers above 0, found 0.0"),
+        ("roughness", 0.0, r"roughness: expected numbers above 0 up to 1e\+09, found 0.0"),
+        ("roughness", 10**18, r"roughness: expected numbers above 0 up to 1e\+09, found 1000000000000000000"),
         ("specular", [0.1, 0.2], r"specular: expected 3 numbers, found \[0.1, 0.2\]"),
         ("specular", [0.1, 0.2, "0.3"], r"specular: expected 3 numbers, found \[0.1, 0.2, '0.3'\]"),
-        ("diffuse", [0.1, math.inf, 0.2], r"diffuse: expected finite numbers, found \[0.1, inf, 0.2\]"),
+        ("diffuse", [0.1, -0.3, 0.2], r"diffuse: expected numbers from 0 up to 1e\+09, found \[0.1, -0.3, 0.2\]"),
         ("diffuse", ..., "diffuse: expected 3 numbers, found no such field"),
         ("model", "NganHe", "model: expected 'NganWard', found 'NganHe'"),
     ],
@@ -310,20 +310,33 @@ def test_bad_fields_are_named(field: str, value: Any, message: str, tmp_path: Pa
         read_published(path)
 
 
+def test_numbers_that_make_no_finite_parameter_are_named(tmp_path: Path) -> None:
+    fit = {"diffuse": [0.1] * 3, "model": "Bagher", "eta": [[0.1] * 3] * 2}
+    fit |= {name: [0.5] * 3 for name in ("specular", "alpha", "p", "K", "Lambda", "c", "k", "theta0")}
+    path = write(tmp_path, {"bagher_sgd": {"tin": fit, "zinc": {**fit, "k": [0.5, 1e-310, 0.5]}}})
+    with pytest.raises(DataError, match=rf"^{path}: bagher_sgd, zinc: expected numbers that make a finite reach$"):
+        read_published(path)
+
+
 def test_bad_files_are_named(tmp_path: Path) -> None:
     missing = tmp_path / "none.json"
     with pytest.raises(
         DataError, match=rf"^{missing}: no such file; expected the fits of https://github.com/bsdfbench"
     ):
         read_published(missing)
-    for content in ([], {}, {"ngan_he": {}}, 3):
+    for content in ({}, {"ngan_he": {}}):
         with pytest.raises(DataError, match="found none of the sets ngan_ward, "):
             read_published(write(tmp_path, content))
+    for content in ([], 3, {"ngan_ward": {"tin": {"roughness": math.nan}}}):
+        with pytest.raises(DataError, match=r"^[^\n]*fits\.json: expected the fits of [^\n]*, found [^\n]*$"):
+            read_published(write(tmp_path, content))
+    with pytest.raises(DataError, match="ngan_ward: expected a name"):
+        read_published(write(tmp_path, {"ngan_ward": {"../tin": {}}}))
     for content, found in ({"ngan_ward": {}}, "{}"), ({"ngan_ward": 3}, "3"):
         with pytest.raises(DataError, match=rf": ngan_ward: expected fits by material, found {found}$"):
             read_published(write(tmp_path, content))
     with pytest.raises(DataError, match=r"ngan_ward, tin: expected the fields of a fit, found \[1\]$"):
         read_published(write(tmp_path, {"ngan_ward": {"tin": [1]}}))
-    (tmp_path / "fits.json").write_text("{")
+    (tmp_path / "fits.json").write_text("[" * 100_000)
     with pytest.raises(DataError, match=r"^[^\n]*fits\.json: expected the fits of [^\n]*, found [^\n]*$"):
         read_published(tmp_path / "fits.json")

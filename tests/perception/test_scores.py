@@ -56,19 +56,34 @@ def test_indices_follow_file_names(tmp_path):
     [
         ({"answers": [[0, 1, 2]]}, "1 answers but 3 agreements"),
         ({"answers": [[0, 1, 2], [3, 2, 0], [1, 0, 4]]}, r"question 2: expected indices 0 to 3, found \[1, 0, 4\]"),
-        ({"answers": [[0, 1, 2], [-1, 2, 0], [1, 0, 3]]}, "question 1: expected indices"),
+        ({"answers": [[0, 1, 2], [-1, 2, 0], [1, 0, 3]]}, r"expected `int` >= 0 - at `\$\.answers\[1\]\[0\]`"),
         ({"answers": [[0, 1, 2], [3, 3, 0], [1, 0, 3]]}, "question 1: expected three different materials"),
-        ({"answers": [[0, 1], [3, 2, 0], [1, 0, 3]]}, r"answers\[0\]: expected 3 integers, found \[0, 1\]"),
-        ({"answers": [[0, 1, 2.5], [3, 2, 0], [1, 0, 3]]}, r"answers\[0\]: expected 3 integers"),
-        ({"answers": []}, "answers: expected a list"),
-        ({"agreement": [[3, 1], [2, -2], [0, 4]]}, "question 1: expected votes of at least 0"),
-        ({"agreement": [[3, 1], [0, 0], [0, 4]]}, "question 1: expected votes"),
-        ({"agreement": None}, "agreement: expected a list"),
+        ({"answers": [[0, 1], [3, 2, 0], [1, 0, 3]]}, r"expected `array` of length 3 - at `\$\.answers\[0\]`"),
+        ({"answers": [[0, 1, 2.5], [3, 2, 0], [1, 0, 3]]}, r"expected `int`, got `float` - at `\$\.answers\[0\]\[2\]`"),
+        ({"answers": []}, r"expected `array` of length >= 1 - at `\$\.answers`"),
+        ({"answers": [[0, 1, 2], [3, 2, 10**30], [1, 0, 3]]}, r"at `\$\.answers\[1\]\[2\]`"),
+        ({"agreement": [[3, 1], [2, -2], [0, 4]]}, r"expected `int` >= 0 - at `\$\.agreement\[1\]\[1\]`"),
+        ({"agreement": [[3, 1], [2, 10**9], [0, 4]]}, r"expected `int` <= 1000000 - at `\$\.agreement\[1\]\[1\]`"),
+        ({"agreement": [[3, 1], [0, 0], [0, 4]]}, "question 1: expected one vote at least"),
+        ({"agreement": None}, r"expected `array`, got `null` - at `\$\.agreement`"),
     ],
 )
 def test_bad_triplets_are_refused(tmp_path, changes, said):
     with pytest.raises(DataError, match=said):
         read_triplets(triplets_file(tmp_path, **changes), NAMES)
+
+
+@pytest.mark.parametrize(
+    "text", ["[1, 2", "[]", "[" * 100_000, '{"answers": [[0, 1, "' + "a" * 9000 + '"]]}', "\udcff"]
+)
+def test_what_is_no_file_of_triplets_gets_one_short_line(tmp_path, text):
+    path = tmp_path / "bad.json"
+    path.write_text(text, errors="surrogateescape")
+    with pytest.raises(
+        DataError, match=r"bad\.json: expected answers to triplets and their agreement, found"
+    ) as caught:
+        read_triplets(path)
+    assert len(str(caught.value)) <= 300 and str(caught.value).isprintable()
 
 
 def test_missing_files_say_where_they_come_from(tmp_path):
@@ -78,9 +93,6 @@ def test_missing_files_say_where_they_come_from(tmp_path):
         read_opinions(tmp_path / "opinions.csv")
     with pytest.raises(DataError, match=r"no such file.*Lagunas"):
         read_lagunas(tmp_path / "distances.mat")
-    (tmp_path / "bad.json").write_text("[1, 2")
-    with pytest.raises(DataError, match="expected JSON"):
-        read_triplets(tmp_path / "bad.json")
 
 
 def test_opinions_are_read(tmp_path):
@@ -100,11 +112,16 @@ def test_opinions_are_read(tmp_path):
     ("text", "said"),
     [
         ("", "line 1: expected method,material,distance, found nothing"),
-        ("method,distance\n", "line 1: expected method,material,distance, found method,distance"),
+        ("method,distance\n", "line 1: expected method,material,distance, found 'method,distance'"),
         ("method,material,distance\n", "found no row"),
         ("method,material,distance\nWARD,nickel,1.5\n", "line 2: expected a distance from 0 to 1, found '1.5'"),
         ("method,material,distance\nWARD,nickel,much\n", "line 2: expected a distance"),
         ("method,material,distance\nWARD,nickel,nan\n", "line 2: expected a distance"),
+        (
+            f"method,material,distance\nWARD,nickel,{'x' * 9000}\n",
+            "line 2: expected a distance from 0 to 1, found 'xxx",
+        ),
+        ("method,material,distance\nWARD,../nickel,1\n", "line 2: expected a name"),
         ("method,material,distance\nWARD,nickel\n", "line 2: expected a method, a material and a distance"),
         ("method,material,distance\nW,n,0\nW,m,0\nW,n,1\n", "line 4: W of n is already in line 2"),
     ],

@@ -4,12 +4,14 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from scipy.optimize import check_grad
 from scipy.stats import norm
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.experiment.metric_training import read_training
 from torchbrdf.lobes import make_model, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
 from torchbrdf.losses.learned import THETA_H_BINS
@@ -37,6 +39,7 @@ from torchbrdf.perception.learning.training_set import (
     merge_training_sets,
     training_set_from_choices,
 )
+from torchbrdf.reading import write_npz
 from torchbrdf.recipe import RECIPES, configure, run
 
 DATA = synthetic_benchmark(questions=200)
@@ -271,6 +274,43 @@ def test_trainings_are_taken_up(out: Path, monkeypatch) -> None:
     kept[1].write_bytes(b"half of it")
     with pytest.raises(DataError, match="expected a finished training; remove it to train again"):
         run(recipe(quick="true"), out)
+
+
+CURVE, WEIGHTS = np.linspace(0, 1, 6).reshape(3, 2), np.linspace(0, 1, 12).reshape(3, 4)
+GOOD = {"curve": CURVE, "weights": WEIGHTS}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"curve": CURVE[:2]},
+        {"weights": WEIGHTS[:, :3]},
+        {"weights": WEIGHTS.T},
+        {"weights": WEIGHTS[:, :0]},
+        {"weights": np.full_like(WEIGHTS, np.nan)},
+        {"curve": CURVE.astype(str)},
+        {"curve": CURVE.astype(int)},
+        {"curve": np.array(1.0)},
+    ],
+)
+def test_trainings_that_cannot_be_are_refused(tmp_path: Path, wrong: dict) -> None:
+    write_npz(tmp_path / "all.npz", GOOD | wrong)
+    with pytest.raises(DataError, match=r"all\.npz: expected .*; remove it to train again"):
+        read_training(tmp_path / "all.npz", 3, 4)
+
+
+def test_trainings_that_were_changed_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "all.npz"
+    write_npz(path, GOOD, compressed=True)
+    whole = path.read_bytes()
+    torch.testing.assert_close(read_training(path, 3, 4).weights, torch.from_numpy(WEIGHTS), rtol=0, atol=0)
+    np.savez(path, **GOOD)
+    bad = [path.read_bytes(), whole[:-30], b"", whole.replace(b"weights", b"weightz")]
+    np.savez(path, curve=np.array([None]), weights=WEIGHTS)
+    for data in (*bad, path.read_bytes()):
+        path.write_bytes(data)
+        with pytest.raises(DataError, match=r"all\.npz: expected a finished training; remove it to train again"):
+            read_training(path, 3, 4)
 
 
 @pytest.mark.parametrize(

@@ -82,9 +82,16 @@ def test_without_a_difference_the_power_is_the_level():
         ({"difference": 1e-4}, "takes some [0-9]+ observers or more"),
         ({"difference": float("nan")}, "difference: expected at most"),
         ({"difference": 3.0, "stimuli": 3}, "expected at most 2.5 units, found 3.0"),
-        ({"difference": 1.0, "power": 1.0}, "expected a number between 0 and 1, found 1.0"),
-        ({"difference": 1.0, "alpha": 0.0}, "alpha: expected a number between 0 and 1"),
-        ({"difference": 1.0, "stimuli": 1}, "stimuli: expected 2 or more, found 1"),
+        ({"difference": 1e-300}, "takes some 1000000000000000 observers or more"),
+        ({"difference": 1e-9, "stimuli": 3}, "takes some [0-9]+ observers or more"),
+        ({"difference": float("inf")}, "expected at most 10.0 units, found inf"),
+        ({"difference": 1.0, "power": 1.0}, "expected more than alpha, 0.05, and at most 0.999999, found 1.0"),
+        ({"difference": 1.0, "power": 1e-300}, "expected more than alpha, 0.05, and at most 0.999999, found 1e-300"),
+        ({"difference": 1.0, "power": float("nan")}, "expected more than alpha"),
+        ({"difference": 1.0, "alpha": 0.0}, "alpha: expected 1e-06 to 0.5, found 0.0"),
+        ({"difference": 1.0, "alpha": 1e-300}, "alpha: expected 1e-06 to 0.5, found 1e-300"),
+        ({"difference": 1.0, "stimuli": 1}, "stimuli: expected 2 to 1000, found 1"),
+        ({"difference": 1.0, "stimuli": 3001}, "stimuli: expected 2 to 1000, found 3001"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, words):
@@ -92,6 +99,15 @@ def test_what_makes_no_sense_is_refused(arguments, words):
         observers_needed(**arguments)
 
 
+@pytest.mark.parametrize("stimuli", [2, 3, 100])
+@pytest.mark.parametrize("power", [0.5000001, 0.999999])
+@pytest.mark.parametrize("alpha", [1e-6, 0.5])
+@pytest.mark.parametrize("difference", [0.1, 2.5])
+def test_at_the_ends_of_what_is_allowed_there_is_a_number(stimuli, power, alpha, difference):
+    needed = observers_needed(difference, power, alpha, stimuli)
+    assert 1 <= needed <= 100_000 and power_of(difference, needed, alpha, stimuli) >= power
+
+
 def test_no_observers_have_no_power():
-    with pytest.raises(UsageError, match="observers: expected 1 or more, found 0"):
+    with pytest.raises(UsageError, match="observers: expected 1 to 400000, found 0"):
         power_of(1.0, 0)

@@ -33,7 +33,14 @@ def test_simulated_observers_are_seeded_and_named():
 
 
 @pytest.mark.parametrize(
-    ("more", "said"), [({"observers": 0}, "expected at least 1"), ({"observers": 2, "noise": 0.0}, "noise: expected")]
+    ("more", "said"),
+    [
+        ({"observers": 0}, "expected at least 1"),
+        ({"observers": 10**9}, "expected at most [0-9]+ with [0-9]+ trials each, found 1000000000"),
+        ({"observers": 2, "noise": 0.0}, "noise: expected"),
+        ({"observers": 2, "noise": math.inf}, "noise: expected a number above 0 up to 1e6, found inf"),
+        ({"observers": 2, "noise": math.nan}, "noise: expected"),
+    ],
 )
 def test_simulations_that_cannot_be_are_refused(more, said):
     plan = make_plan({"nickel": wards(5.0, 4.0, 3.0)})

@@ -6,7 +6,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described
+from torchbrdf.bounds import SEEDS
+from torchbrdf.cli.common import Commands, Options, described, number, progress_bar, whole
 from torchbrdf.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -93,18 +94,21 @@ def add(commands: Commands) -> None:
     new.add_argument("name", help="the new experiment's name")
     new.add_argument("--stimuli", default="*", help="names, with * and ?, parted by commas (default: all)")
     new.add_argument("--pairs", help="only these pairs: a:b,c:d")
-    new.add_argument("--compare", type=int, help="each observer compares each stimulus with so many others")
-    new.add_argument("--repeats", type=int, default=0, help="trials that come twice (default 0)")
-    new.add_argument("--catch", type=int, default=0, help="trials with a known answer (default 0)")
+    new.add_argument(
+        "--compare", type=whole(2, 100_000), help="each observer compares each stimulus with so many others"
+    )
+    new.add_argument("--repeats", type=whole(0, 100_000), default=0, help="trials that come twice (default 0)")
+    new.add_argument("--catch", type=whole(0, 100_000), default=0, help="trials with a known answer (default 0)")
     new.add_argument("--title", help="for reports")
     new.set_defaults(command=add_command)
 
     simulate = described(parts.add_parser("simulate", help="answer with simulated observers"), SIMULATE)
     simulate.add_argument("run", help="folder of a run, with a study.json")
     simulate.add_argument("--experiment", help="its name (default: the first)")
-    simulate.add_argument("--observers", type=int, default=15, help="how many (default 15)")
-    simulate.add_argument("--noise", type=float, help="of what they see, in units of the image difference (default 2)")
-    simulate.add_argument("--seed", type=int, default=0, help="seed of their answers (default 0)")
+    simulate.add_argument("--observers", type=whole(1, 1_000_000), default=15, help="how many (default 15)")
+    noise = "of what they see, in units of the image difference (default 2)"
+    simulate.add_argument("--noise", type=number(1e-6, 1e6), help=noise)
+    simulate.add_argument("--seed", type=whole(*SEEDS), default=0, help="seed of their answers (default 0)")
     simulate.add_argument("--out", default="simulated.csv", help="the file (default: simulated.csv)")
     simulate.set_defaults(command=simulate_command)
 
@@ -116,15 +120,16 @@ def add(commands: Commands) -> None:
     scale = described(parts.add_parser("scale", help="scales, figures and a page from answers"), SCALE)
     scale.add_argument("answers", help="a CSV file, or the folder of a run that was served")
     scale.add_argument("--method", default="likelihood", help="likelihood (default) or least_squares")
-    scale.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default 0)")
+    scale.add_argument("--seed", type=whole(*SEEDS), default=0, help="seed of the bootstrap (default 0)")
     scale.add_argument("--out", help="folder for what is written (default: scales/ beside the answers)")
     scale.set_defaults(command=scale_command)
 
     power = described(parts.add_parser("power", help="how many observers are needed"), POWER)
-    power.add_argument("--difference", type=float, required=True, help="on the scale")
-    power.add_argument("--stimuli", type=int, default=2, help="that are compared, all pairs (default 2)")
-    power.add_argument("--power", type=float, default=0.8, help="wanted probability to find it (default 0.8)")
-    power.add_argument("--alpha", type=float, default=0.05, help="probability to find what is not there (default 0.05)")
+    power.add_argument("--difference", type=number(-10, 10), required=True, help="on the scale")
+    power.add_argument("--stimuli", type=whole(2, 1000), default=2, help="that are compared, all pairs (default 2)")
+    power.add_argument("--power", type=number(0, 1), default=0.8, help="wanted probability to find it (default 0.8)")
+    alpha = "probability to find what is not there (default 0.05)"
+    power.add_argument("--alpha", type=number(1e-6, 0.5), default=0.05, help=alpha)
     power.set_defaults(command=power_command)
 
 
@@ -186,7 +191,8 @@ def simulate_command(options: Options) -> int:
 
     plan, name = _experiment(options)
     noise = NOISE if options.noise is None else options.noise
-    answers = simulate(plan, plan.experiment(name), options.observers, noise, options.seed)
+    progress = progress_bar("observers")
+    answers = simulate(plan, plan.experiment(name), options.observers, noise, options.seed, progress)
     write_answers(options.out, answers)
     print(f"{len(answers)} answers of {options.observers} simulated observers, who are no people")
     print(options.out)
@@ -226,7 +232,8 @@ def scale_command(options: Options) -> int:
         answers = read_answers(source)
     plan = Plan.load(folder) if (folder / PLAN).exists() else None
     out = writable(Path(options.out) if options.out else folder / "scales")
-    for line in write_scales(out, answers, plan, method=options.method, seed=options.seed, source=source.name):
+    settings = {"method": options.method, "seed": options.seed, "source": source.name}
+    for line in write_scales(out, answers, plan, **settings, progress=progress_bar("draws")):
         print(line)
     print(out / "scales.html")
     return 0

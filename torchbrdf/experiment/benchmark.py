@@ -5,11 +5,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from torchbrdf.errors import TorchbrdfError
-from torchbrdf.files import replacing, write_csv, write_json
+from torchbrdf.errors import DataError, TorchbrdfError
+from torchbrdf.files import write_csv, write_json
 from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import (
@@ -22,6 +21,7 @@ from torchbrdf.perception import (
     score_opinions,
     score_triplets,
 )
+from torchbrdf.reading import read_npz, write_npz
 from torchbrdf.recipe import RunFolder
 from torchbrdf.render import RenderedLoss, Scene
 
@@ -76,9 +76,9 @@ class Benchmark:
 
     def _score(self, losses: Mapping[str, Loss], evaluate: Callable[[], EvaluatedBrdfs]) -> None:
         """Distances of some losses, read where they are stored, else worked out and stored."""
-        rows = len(self.data.opinions)
+        counts = len(self.data.triplets.materials), len(self.data.opinions)
         stored = {name: self.folder.path / "distances" / f"{name}.npz" for name in losses}
-        known = {name: found for name, path in stored.items() if (found := _read(path, rows))}
+        known = {name: found for name, path in stored.items() if (found := read_distances(path, *counts))}
         if len(known) == len(losses):
             self.distances |= known
             return
@@ -89,14 +89,14 @@ class Benchmark:
             if found is None:
                 try:
                     triplets = score_triplets(loss, brdfs, self.data.triplets)
-                    found = Distances(triplets, score_opinions(loss, brdfs))
+                    opinions = score_opinions(loss, brdfs)
                 except TorchbrdfError as error:
                     self._leave_out(name, error)
                     continue
                 finally:
                     progress(done, len(losses))
-                with replacing(stored[name]) as path, path.open("wb") as file:
-                    np.savez_compressed(file, **{key: part.numpy() for key, part in vars(found).items()})
+                write_npz(stored[name], {"triplets": triplets.numpy(), "opinions": opinions.numpy()}, compressed=True)
+                found = Distances(triplets, opinions)
                 self.folder.log(f"{name} is scored")
             self.distances[name] = found
 
@@ -105,10 +105,26 @@ class Benchmark:
         self.folder.warn(f"{name} is left out: {error}")
 
 
-def _read(path: Path, rows: int) -> Distances | None:
-    """Stored distances; None where there are none, or of another number of opinions: files come and go."""
-    if not path.is_file():
+def read_distances(path: Path, materials: int, rows: int) -> Distances | None:
+    """Read what is kept of the distances of a loss.
+
+    Args:
+        path: The file.
+        materials: How many the triplets are about.
+        rows: How many opinions there are.
+
+    Returns:
+        The distances; None where there are none, or of other materials or opinions: files come and go.
+
+    Raises:
+        DataError: The file was changed or damaged; says that it may be removed.
+    """
+    if not path.exists():
         return None
-    with np.load(path) as parts:
-        found = Distances(torch.from_numpy(parts["triplets"]), torch.from_numpy(parts["opinions"]))
-    return found if found.opinions is not None and len(found.opinions) == rows else None
+    expected = "the distances of a loss (remove it to score again)"
+    parts = read_npz(path, expected)
+    if set(parts) != {"triplets", "opinions"} or any(part.dtype != "float64" for part in parts.values()):
+        raise DataError(f"{path}: expected {expected}, found {', '.join(parts) or 'nothing'}")
+    if parts["triplets"].shape != (materials, materials) or parts["opinions"].shape != (rows,):
+        return None
+    return Distances(torch.from_numpy(parts["triplets"]), torch.from_numpy(parts["opinions"]))

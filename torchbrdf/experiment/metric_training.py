@@ -1,21 +1,18 @@
 """What a metric is trained on and judged by: published answers, or those of one's own study; kept in a run's folder."""
 
-import json
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
+import msgspec
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.experiment.settings import STANDINS
-from torchbrdf.files import replacing
 from torchbrdf.lobes import FitRecord, model_of, read_fits
 from torchbrdf.losses import Loss
 from torchbrdf.losses.learned import schema
@@ -41,6 +38,7 @@ from torchbrdf.perception.learning.training_set import (
     training_set_from_choices,
 )
 from torchbrdf.progress import Progress
+from torchbrdf.reading import read_json, read_npz, write_npz
 from torchbrdf.recipe import RunFolder
 from torchbrdf.study import MEASURED, Answer, read_answers, simulated
 
@@ -214,13 +212,21 @@ def train_metric(
     )
 
 
+class _Settings(msgspec.Struct):
+    materials: str
+
+
+class _Run(msgspec.Struct):
+    """What is needed of a run's `recipe.json`."""
+
+    settings: _Settings
+
+
 def _materials_of(run: Path, names: Sequence[str], pairs: Pairs, answers: Path) -> tuple[Tensor, bool]:
     """Values of the materials that a run was about, `(K, N, 3)`, and whether any is a stand-in."""
     path = run / "recipe.json"
-    try:
-        folder = json.loads(path.read_text(encoding="utf-8"))["settings"]["materials"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise DataError(f"{path}: expected the settings of a run, with its materials") from None
+    settings: _Run = read_json(path, _Run, "the settings of a run, with its materials")
+    folder = settings.settings.materials
     tables = load_all(standins() if folder == STANDINS else folder)
     where = {name: (group, k) for group in tables for k, name in enumerate(group.names)}
     for name in names:
@@ -263,6 +269,26 @@ def _votes(given: Sequence[Answer], stimuli: Sequence[tuple[str, str]]) -> tuple
     )
 
 
+def read_training(path: Path, iterations: int, features: int) -> History:
+    """Read what is kept of a training.
+
+    Args:
+        path: The file.
+        iterations: How many it has.
+        features: How many weights each has.
+
+    Raises:
+        DataError: It was changed or damaged, or is of another training; says that it may be removed.
+    """
+    layout = {"curve": ((iterations, 2), "f"), "weights": ((iterations, features), "f")}
+    remedy = "remove it to train again"
+    try:
+        parts = read_npz(path, f"a finished training; {remedy}", layout)
+    except DataError as error:
+        raise DataError(str(error) if remedy in str(error) else f"{error}; {remedy}") from None
+    return History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
+
+
 def _trained(
     folder: RunFolder,
     training_set: TrainingSet,
@@ -274,16 +300,11 @@ def _trained(
 ) -> History:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
-    if path.is_file():
-        try:
-            with np.load(path) as parts:
-                history = History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-            raise DataError(f"{path}: expected a finished training; remove it to train again") from None
+    if path.exists():
+        history = read_training(path, iterations, training_set.features.shape[1])
     else:
         history = train(training_set, split, iterations)
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, curve=history.curve.numpy(), weights=history.weights.numpy())
+        write_npz(path, {"curve": history.curve.numpy(), "weights": history.weights.numpy()}, compressed=True)
         learned_from, rest = history.curve[-1].tolist()
         folder.log(
             f"{split.name}: negative log-likelihood {learned_from:.4f} of what was learned from, {rest:.4f} of the rest"

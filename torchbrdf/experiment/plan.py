@@ -1,5 +1,6 @@
 """What observers are asked about a grid of fits, and what simulated ones answer."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from torchbrdf.study.plan import PLAN
 
 # The paper's experiments: every model under every metric, and the models under one metric beside the measured material.
 FIRST, SECOND = "1", "2"
+# Degrees: where a material stands whose distinctness of image is not known.
+LAST = 180.0
 
 
 @dataclass(frozen=True)
@@ -58,13 +61,15 @@ def make_plan(
                 model=record.model,
                 loss=record.loss,
                 outlier=bool(record.outlier),
-                difference=record.differences[DIFFERENCE],
+                difference=_known(record.differences[DIFFERENCE]),
             )
             for record in grid.drawn
             if record.material == name
         }
         stimuli[MEASURED] = Stimulus(path(picture_name(name)), difference=0.0)
-        materials.append(Material(name, path(picture_name(name, "turned")), stimuli, order=doi))
+        materials.append(
+            Material(name, path(picture_name(name, "turned")), stimuli, order=doi if math.isfinite(doi) else LAST)
+        )
     experiments = []
     every = tuple(f"{model}-{loss}" for model in grid.models for loss in grid.losses)
     if len(every) > 1:
@@ -75,6 +80,11 @@ def make_plan(
         experiments.append(Experiment(SECOND, title, (*under, MEASURED)))
     mark = caveat(grid.stand_in)
     return Plan(tuple(materials), tuple(experiments), grid.seed, texts or {}, screening or {}, mark)
+
+
+def _known(value: float) -> float | None:
+    """A number that a plan may hold."""
+    return value if math.isfinite(value) else None
 
 
 def stimulus_name(pictures: Pictures, record: FitRecord) -> str:

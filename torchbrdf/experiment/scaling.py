@@ -5,8 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from torchbrdf.experiment.labels import loss_label, model_label
+from torchbrdf.progress import Progress, part_of, quiet
 from torchbrdf.psychophysics import Comparisons, Method, ObserverReport, Scales, observer_reports, scale
 from torchbrdf.study import Answer, Plan
+
+DRAWS = 1000
+"""Of the bootstrap, and of the test of goodness."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +58,23 @@ class ScaledExperiment:
 
 
 def scale_experiments(
-    answers: Sequence[Answer], plan: Plan | None, method: Method = "likelihood", seed: int = 0
+    answers: Sequence[Answer],
+    plan: Plan | None,
+    method: Method = "likelihood",
+    seed: int = 0,
+    progress: Progress = quiet,
 ) -> list[ScaledExperiment]:
     """The scales of every experiment that there are answers to."""
+    by_experiment: dict[str, list[Answer]] = {}
+    for answer in answers:
+        by_experiment.setdefault(answer.experiment, []).append(answer)
     scaled = []
-    for name in dict.fromkeys(answer.experiment for answer in answers):
-        own = [answer for answer in answers if answer.experiment == name]
+    for k, (name, own) in enumerate(by_experiment.items()):
         comparisons = Comparisons.from_answers(own)
         known = plan if plan is not None and _planned(plan, name, comparisons) else None
-        scaled.append(ScaledExperiment(name, own, comparisons, scale(comparisons, method=method, seed=seed), known))
+        part = part_of(progress, 2 * DRAWS * k, 2 * DRAWS * len(by_experiment))
+        scales = scale(comparisons, method=method, draws=DRAWS, seed=seed, progress=part)
+        scaled.append(ScaledExperiment(name, own, comparisons, scales, known))
     return scaled
 
 

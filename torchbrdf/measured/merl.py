@@ -22,8 +22,8 @@ from torchbrdf.measured.catalogue import merl_name
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
-from torchbrdf.reading import reading
 from torchbrdf.precision import undisturbed
+from torchbrdf.reading import reading
 
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.reading import LIMIT_VARIABLE, largest
 from torchbrdf.registry import unknown
 from torchbrdf.study.answers import Answer
 
@@ -56,7 +57,7 @@ class Comparisons:
 
         Raises:
             UsageError: There are several experiments and none is named, or no such one.
-            DataError: There is no trial.
+            DataError: There is no trial, or the counts are larger than `reading.largest`.
         """
         trials = [answer for answer in one_experiment(answers, experiment) if answer.kind == "trial"]
         if not trials:
@@ -71,6 +72,12 @@ class Comparisons:
                 stimuli[m].setdefault(name, len(stimuli[m]))
             places.append((observers[answer.observer], m, stimuli[m][answer.chosen], stimuli[m][answer.rejected]))
         n = max(len(names) for names in stimuli)
+        size = 8 * len(observers) * len(materials) * n * n
+        if size > largest():
+            raise DataError(
+                f"comparisons: expected at most {largest()} bytes of counts, found {size}: {len(observers)} observers, "
+                f"{len(materials)} materials, {n} stimuli; {LIMIT_VARIABLE} raises the limit"
+            )
         wins = torch.zeros(len(observers), len(materials), n, n, dtype=torch.float64, device="cpu")
         index = torch.tensor(places, dtype=torch.int64, device="cpu").unbind(1)
         wins.index_put_(index, torch.ones(len(places), dtype=torch.float64, device="cpu"), accumulate=True)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.bootstrap import resample_counts
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.psychophysics.comparisons import Comparisons, connected
 from torchbrdf.psychophysics.thurstone import (
     PRIOR,
@@ -85,7 +86,12 @@ def covariances(comparisons: Comparisons, scale: Tensor, method: Method, prior: 
 
 
 def bootstrap(
-    comparisons: Comparisons, draws: int = 1000, seed: int = 0, method: Method = "likelihood", prior: float = PRIOR
+    comparisons: Comparisons,
+    draws: int = 1000,
+    seed: int = 0,
+    method: Method = "likelihood",
+    prior: float = PRIOR,
+    progress: Progress = quiet,
 ) -> Tensor:
     """Bootstrap of scales over observers: scales `(B, M, n)` of observers drawn with replacement.
 
@@ -103,4 +109,5 @@ def bootstrap(
         compared = won + won.mT
         whole = connected(compared) & ((compared > 0).any(-1) == present).all(-1)
         scales[first : first + chunk] = fitted(won, method, prior).masked_fill(~whole[..., None], torch.nan)
+        progress(min(first + chunk, draws), draws)
     return scales

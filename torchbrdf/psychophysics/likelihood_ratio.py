@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.psychophysics.intervals import CHUNK, Method, fitted
 from torchbrdf.psychophysics.simulate import simulated_wins
 from torchbrdf.psychophysics.thurstone import PRIOR
@@ -24,7 +25,13 @@ class Goodness:
 
 
 def goodness(
-    wins: Tensor, scale: Tensor, draws: int = 1000, seed: int = 0, method: Method = "likelihood", prior: float = PRIOR
+    wins: Tensor,
+    scale: Tensor,
+    draws: int = 1000,
+    seed: int = 0,
+    method: Method = "likelihood",
+    prior: float = PRIOR,
+    progress: Progress = quiet,
 ) -> Goodness:
     """Likelihood-ratio test of goodness of fit: a scale `(M, n)` against a share for each pair; wins `(M, n, n)`.
 
@@ -50,6 +57,7 @@ def goodness(
         again = likelihood_ratio(drawn, fitted(drawn, method, prior))
         # Equal answers are equal, whatever the rounding of a sum.
         larger += (again >= statistic - 1e-9 * (1 + statistic)).sum(0)
+        progress(first + count, draws)
     p = (1 + larger) / (1 + draws) if draws else torch.full_like(larger, torch.nan)
     return Goodness(statistic, dof, p.masked_fill(dof < 1, torch.nan))
 

@@ -8,9 +8,15 @@ from scipy import stats
 
 from torchbrdf.errors import UsageError
 
-MOST_OBSERVERS = 1_000_000
+MOST_OBSERVERS = 400_000
 # Information alone says less and less about stimuli that are further apart, and telling them apart is no question.
 LARGEST_DIFFERENCE = 2.5
+# Of two stimuli: one answer in 10^23 goes the other way.
+LARGEST_OF_TWO = 10.0
+# Beyond, what is wanted is no study: tests at such levels, powers so near to 1, and pairs of so many stimuli.
+LEVELS = (1e-6, 0.5)
+LARGEST_POWER = 1 - 1e-6
+MOST_STIMULI = 1000
 
 
 def power_of(difference: float, observers: int, alpha: float = 0.05, stimuli: int = 2) -> float:
@@ -23,8 +29,8 @@ def power_of(difference: float, observers: int, alpha: float = 0.05, stimuli: in
     observers or more.
     """
     _check(difference, alpha, stimuli)
-    if observers < 1:
-        raise UsageError(f"power: observers: expected 1 or more, found {observers}")
+    if not 1 <= observers <= MOST_OBSERVERS:
+        raise UsageError(f"power: observers: expected 1 to {MOST_OBSERVERS}, found {observers}")
     return float(_powers(difference, np.array([observers]), alpha, stimuli)[0])
 
 
@@ -36,42 +42,43 @@ def observers_needed(difference: float, power: float = 0.8, alpha: float = 0.05,
 
     Args:
         difference: Of the two, in units of the scale, other than 0.
-        power: The chance to tell them apart, between 0 and 1, as `power_of` has it.
-        alpha: The level of the test, between 0 and 1.
-        stimuli: Of a material, 2 or more.
+        power: The chance to tell them apart, above alpha, which it is without a difference, and at most 0.999999.
+        alpha: The level of the test, 1e-6 to 0.5.
+        stimuli: Of a material, 2 to 1000.
 
     Returns:
         The number of observers from which on the power is at least `power`.
 
     Raises:
-        UsageError: A number is out of range, or some hundred thousand observers or more are needed.
+        UsageError: A number is out of range, or a hundred thousand observers or more are needed.
 
     Example:
         >>> observers_needed(0.5)
         61
     """
     _check(difference, alpha, stimuli)
-    if not 0 < power < 1:
-        raise UsageError(f"power: expected a number between 0 and 1, found {power}")
+    if not alpha < power <= LARGEST_POWER:
+        raise UsageError(f"power: expected more than alpha, {alpha:g}, and at most {LARGEST_POWER}, found {power}")
     if difference == 0:
         raise UsageError("power: difference: expected a number other than 0, found 0")
     # Well beyond what a normal distribution needs; there the ups and downs no longer reach down to `power`.
-    most = math.ceil(4 * _about(difference, max(power, 0.5), alpha, stimuli)) + 200
-    if most > MOST_OBSERVERS:
-        raise UsageError(f"power: a difference of {difference} takes some {most // 4} observers or more")
+    about = _about(difference, max(power, 0.5), alpha, stimuli)
+    if 4 * about > MOST_OBSERVERS:
+        raise UsageError(f"power: a difference of {difference} takes some {min(about, 1e15):.0f} observers or more")
+    most = math.ceil(4 * about) + 200
     enough = _powers(difference, np.arange(1, most + 1), alpha, stimuli) >= power
     short = np.flatnonzero(~enough)
     return int(short[-1]) + 2 if len(short) else 1
 
 
 def _check(difference: float, alpha: float, stimuli: int) -> None:
-    if stimuli < 2:
-        raise UsageError(f"power: stimuli: expected 2 or more, found {stimuli}")
-    largest = LARGEST_DIFFERENCE if stimuli > 2 else math.inf
+    if not 2 <= stimuli <= MOST_STIMULI:
+        raise UsageError(f"power: stimuli: expected 2 to {MOST_STIMULI}, found {stimuli}")
+    largest = LARGEST_DIFFERENCE if stimuli > 2 else LARGEST_OF_TWO
     if not abs(difference) <= largest:
         raise UsageError(f"power: difference: expected at most {largest} units, found {difference}")
-    if not 0 < alpha < 1:
-        raise UsageError(f"power: alpha: expected a number between 0 and 1, found {alpha}")
+    if not LEVELS[0] <= alpha <= LEVELS[1]:
+        raise UsageError(f"power: alpha: expected {LEVELS[0]:g} to {LEVELS[1]}, found {alpha}")
 
 
 def _powers(difference: float, observers: NDArray[np.int64], alpha: float, stimuli: int) -> NDArray[np.float64]:
@@ -88,7 +95,9 @@ def _powers(difference: float, observers: NDArray[np.int64], alpha: float, stimu
 
 
 def _about(difference: float, power: float, alpha: float, stimuli: int) -> float:
-    """How many observers are enough by a normal distribution."""
+    """How many observers are enough by a normal distribution; inf for a difference that rounding hides."""
+    if abs(difference) < 1e-12:
+        return math.inf
     z, more = stats.norm.isf(alpha / 2), stats.norm.ppf(power)
     if stimuli == 2:
         chance = stats.norm.cdf(abs(difference))

@@ -6,10 +6,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.errors import UsageError
+from torchbrdf.progress import Progress, part_of, quiet
 from torchbrdf.psychophysics.comparisons import Comparisons
 from torchbrdf.psychophysics.intervals import NORMAL_95, Method, bootstrap, covariances, fitted, montag
 from torchbrdf.psychophysics.likelihood_ratio import Goodness, goodness
 from torchbrdf.psychophysics.thurstone import PRIOR
+
+# Fits times the cube of their stimuli: an hour or so.
+MOST_WORK = 3e11
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ def scale(
     draws: int = 1000,
     seed: int = 0,
     prior: float = PRIOR,
+    progress: Progress = quiet,
 ) -> Scales:
     """Thurstone scales of paired comparisons, with 95 % intervals.
 
@@ -99,13 +105,14 @@ def scale(
         draws: Of the bootstrap over observers, and of the test of goodness.
         seed: Of both.
         prior: Of the likelihood, in units of the scale, see `map_estimate`.
+        progress: Of the draws.
 
     Returns:
         Scales in units of the standard deviation of a difference.
 
     Raises:
         DataError: Comparisons do not link all stimuli of a material.
-        UsageError: There is no such method, or the prior is out of range.
+        UsageError: There is no such method, the prior is out of range, or it is the work of more than some hours.
 
     Example:
         >>> wins = torch.tensor([[[[0.0, 15.0], [5.0, 0.0]]]], dtype=torch.float64)
@@ -113,6 +120,7 @@ def scale(
         >>> found.value[0].round(decimals=3).tolist()
         [0.312, -0.312]
     """
+    check_work(comparisons, draws)
     comparisons.check_connected()
     value = fitted(comparisons.total, method, prior)
     by_model, between = covariances(comparisons, value, method, prior)
@@ -130,7 +138,18 @@ def scale(
         between=between,
         montag=NORMAL_95 * montag(present.sum(-1).to(torch.float64), observations),
         observations=observations,
-        goodness=goodness(comparisons.total, value, draws, seed, method, prior),
-        draws=bootstrap(comparisons, draws, seed, method, prior),
+        goodness=goodness(comparisons.total, value, draws, seed, method, prior, part_of(progress, 0, 2 * draws)),
+        draws=bootstrap(comparisons, draws, seed, method, prior, part_of(progress, draws, 2 * draws)),
         method=method,
     )
+
+
+def check_work(comparisons: Comparisons, draws: int) -> None:
+    """Refuse what would take days: a UsageError."""
+    observers, materials, n, _ = comparisons.wins.shape
+    if draws < 0 or (draws + observers) * materials * n**3 > MOST_WORK:
+        most = int((MOST_WORK / materials / max(draws + observers, 1)) ** (1 / 3))
+        raise UsageError(
+            f"scale: expected at most {most} stimuli with {materials} materials, {observers} observers and {draws} "
+            f"draws of the bootstrap, found {n}"
+        )

@@ -10,6 +10,7 @@ from typing import Any
 from torchbrdf.experiment.conclusions import check_claims, confused, mean_scales
 from torchbrdf.experiment.scaling import ScaledExperiment, scale_experiments
 from torchbrdf.files import write_csv, write_json, write_text
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.psychophysics import Method, ObserverReport, kendall_agreement
 from torchbrdf.recipe import versions
 from torchbrdf.report.embed import embed_png, template
@@ -148,13 +149,20 @@ def _text(value: object) -> str:
 
 
 def write_scales(
-    folder: Path, answers: Sequence[Answer], plan: Plan | None, *, method: Method, seed: int, source: str
+    folder: Path,
+    answers: Sequence[Answer],
+    plan: Plan | None,
+    *,
+    method: Method,
+    seed: int,
+    source: str,
+    progress: Progress = quiet,
 ) -> list[str]:
     """Scale the answers of every experiment into a folder, and give what they say, in lines.
 
     Writes `scales.csv`, `scales.json`, `observers.csv`, figures and `scales.html`.
     """
-    scaled = scale_experiments(answers, plan, method, seed)
+    scaled = scale_experiments(answers, plan, method, seed, progress)
     mark = "; ".join(filter(None, [plan.mark if plan else "", SIMULATED_MARK if simulated(answers) else ""]))
     said = [observed(one, folder / "figures", mark) for one in scaled]
     records = [{"experiment": one.name, **record} for one in scaled for record in one.scales.records()]

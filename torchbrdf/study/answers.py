@@ -2,14 +2,19 @@
 
 import csv
 import io
+import logging
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
-from torchbrdf.errors import DataError
-from torchbrdf.files import write_text
+from torchbrdf.errors import DataError, shown
+from torchbrdf.files import quoted, unquoted, write_text
+from torchbrdf.names import is_one_line
+from torchbrdf.study.selection import LEFT, SELECTIONS, Shown, chosen_sides
+from torchbrdf.study.tables import TextTable, column_key, read_table
 
 Kind = Literal["trial", "repeat", "catch"]
 KINDS: tuple[Kind, ...] = ("trial", "repeat", "catch")
@@ -17,22 +22,25 @@ KINDS: tuple[Kind, ...] = ("trial", "repeat", "catch")
 # Observers whose names begin so are no people; every figure made with their answers says so.
 SIMULATED = "simulated"
 
-# Our column -> other names for it. The columns are those of pwcmp (https://github.com/mantiuk/pwcmp) and more: a
-# session is an experiment, a scene a material, condition 1 stands on the left, selection says which was chosen, 1 or 2.
+# Our columns, and other names for them. A session is an experiment, a scene a material, condition 1 stands on the left,
+# and selection says which was chosen, 1 or 2.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "observer": ("participant", "subject"),
     "session": ("experiment",),
     "scene": ("material", "content"),
-    "condition_1": ("left", "a"),
-    "condition_2": ("right", "b"),
-    "selection": ("chosen", "winner", "choice"),
+    "condition_1": ("left", "a", "condition_a"),
+    "condition_2": ("right", "b", "condition_b"),
+    "selection": tuple(name for name in SELECTIONS if name != "selection"),
     "response_time": (),
     "time_stamp": ("timestamp",),
     "seed": (),
     "kind": (),
 }
 NEEDED = ("observer", "condition_1", "condition_2", "selection")
-LARGEST_FILE = 256 * 2**20
+_OURS = {other: name for name, others in COLUMNS.items() for other in (name, *others)}
+# Seconds; beyond, it is no time that somebody took.
+LONGEST_TIME = 1e7
+LARGEST_SEED = 10**38
 
 
 @dataclass(frozen=True)
@@ -73,14 +81,22 @@ class Answer:
 
     def __post_init__(self) -> None:
         for name in (self.observer, self.experiment, self.material, self.left, self.right, self.time_stamp):
-            if not name.isprintable():
-                raise DataError(f"answer: expected names of one line, found {name!r}")
+            if not is_one_line(name):
+                raise DataError(f"answer: expected names of one line, found {shown(name)}")
+        for what, name in (("observer", self.observer), ("left", self.left), ("right", self.right)):
+            if not name.strip():
+                raise DataError(f"answer: {what}: expected a name, found nothing")
         if self.left == self.right:
-            raise DataError(f"answer: expected two stimuli, found {self.left!r} twice")
+            raise DataError(f"answer: expected two stimuli, found {shown(self.left)} twice")
         if self.chosen not in (self.left, self.right):
-            raise DataError(f"answer: chosen: expected {self.left!r} or {self.right!r}, found {self.chosen!r}")
+            named = f"{shown(self.left)} or {shown(self.right)}"
+            raise DataError(f"answer: chosen: expected {named}, found {shown(self.chosen)}")
+        if not (math.isnan(self.response_time) or 0 <= self.response_time <= LONGEST_TIME):
+            raise DataError(f"answer: response_time: expected 0 to {LONGEST_TIME:g} s, found {self.response_time}")
+        if self.seed is not None and abs(self.seed) >= LARGEST_SEED:
+            raise DataError(f"answer: seed: expected less than 1e38, found {len(str(self.seed))} digits")
         if self.kind not in KINDS:
-            raise DataError(f"answer: kind: expected one of {', '.join(KINDS)}, found {self.kind!r}")
+            raise DataError(f"answer: kind: expected one of {', '.join(KINDS)}, found {shown(self.kind)}")
 
     @property
     def rejected(self) -> str:
@@ -94,7 +110,9 @@ def simulated(answers: Iterable[Answer]) -> bool:
 
 
 def write_answers(path: Path | str, answers: Iterable[Answer]) -> None:
-    """Write observers' answers to a CSV file, whole or not at all.
+    """Write observers' answers to a CSV file, whole or not at all; `read_answers` gives exactly them back.
+
+    Names that a spreadsheet would take for formulas have an apostrophe before them.
 
     Raises:
         DataError: The file cannot be written.
@@ -103,98 +121,108 @@ def write_answers(path: Path | str, answers: Iterable[Answer]) -> None:
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
     for answer in answers:
-        time = "" if math.isnan(answer.response_time) else f"{answer.response_time:.3f}"
+        names = (answer.observer, answer.experiment, answer.material, answer.left, answer.right)
         chosen = 1 if answer.chosen == answer.left else 2
         seed = "" if answer.seed is None else answer.seed
-        where = (answer.observer, answer.experiment, answer.material, answer.left, answer.right)
-        rows.writerow((*where, chosen, time, answer.time_stamp, seed, answer.kind))
+        stamp = quoted(answer.time_stamp)
+        rows.writerow((*map(quoted, names), chosen, _seconds(answer.response_time), stamp, seed, answer.kind))
     write_text(path, text.getvalue())
 
 
 def read_answers(path: Path | str) -> list[Answer]:
     """Read observers' answers from a CSV file: ours, pwcmp's, or one with observer, material, left, right, chosen.
 
-    Only the observer, the two stimuli and which was chosen (1, 2, left, right, or its name) are needed. The separator
-    may be a comma, a semicolon or a tab.
+    Only the observer, the two stimuli and which was chosen are needed; names of columns in any case. What selections
+    mean is settled for a whole file, see `torchbrdf.study.selection.SELECTIONS`: places (1, 2, left, right), names, or
+    pwcmp's 1 for the first and 0 for the second. In a file with exactly the columns of `write_answers` they are places.
+    A response time, a time or a seed that cannot be read counts as missing, and the log says so. pwcmp's session_id,
+    which counts an observer's sittings, is no experiment, and other columns are passed over.
 
     Args:
-        path: The file.
+        path: The file, in UTF-8 or UTF-16; separated by commas, semicolons, tabs, or as a line `sep=` says.
 
     Raises:
         DataError: Says file, line, column, what was expected and what was found.
     """
-    path = Path(path)
-    rows = _rows(path)
-    where = _columns(path, rows[0])
-    answers = []
-    for line, row in rows[1:]:
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(row) != len(rows[0][1]):
-            raise DataError(f"{path}, line {line}: expected {len(rows[0][1])} columns, found {len(row)}")
-        cells = {name: row[k].strip() for name, k in where.items()}
-        answers.append(_answer(cells, f"{path}, line {line}"))
-    if not answers:
+    table = read_table(path, lambda name: column_key(name) in _OURS, "answers")
+    own = table.columns == tuple(COLUMNS)
+    where = _columns(path, table)
+    if not table.rows:
         raise DataError(f"{path}: expected answers, found none")
+    if own:
+        cells = [{name: unquoted(row[k]) for name, k in where.items()} for _, row in table.rows]
+    else:
+        cells = [{name: row[k].strip() for name, k in where.items()} for _, row in table.rows]
+    lines = [f"{path}, line {line}" for line, _ in table.rows]
+    for line, row in zip(lines, cells, strict=True):
+        for name in ("observer", "condition_1", "condition_2"):
+            if not row[name].strip():
+                raise DataError(f"{line}: {name}: expected a name, found nothing")
+    asked = [Shown(row["condition_1"], row["condition_2"], row["selection"]) for row in cells]
+    column = "chosen_place" if own else column_key(table.columns[where["selection"]])
+    sides = chosen_sides(asked, column, lines.__getitem__)
+    optional = _Optional(table.separator)
+    answers = [_answer(row, side, line, optional) for row, side, line in zip(cells, sides, lines, strict=True)]
+    optional.log()
     return answers
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """The rows of a file with the lines that they end on; the first are the column's names."""
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise DataError(f"{path}: expected at most {LARGEST_FILE} bytes, found {path.stat().st_size}")
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    head = text.split("\n", 1)[0]
-    separator = max(",;\t", key=head.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise DataError(f"{path}, line {reader.line_num}: expected CSV ({error})") from None
-    if not rows:
-        raise DataError(f"{path}: expected answers, found an empty file")
-    return rows
-
-
-def _columns(path: Path, head: tuple[int, list[str]]) -> dict[str, int]:
+def _columns(path: Path | str, table: TextTable) -> dict[str, int]:
     """Where each of our columns is."""
-    found = [name.strip().lower().replace(" ", "_") for name in head[1]]
+    found = [_OURS.get(column_key(name)) for name in table.columns]
     where = {}
     for name, others in COLUMNS.items():
-        places = [k for k, there in enumerate(found) if there in (name, *others)]
+        places = [k for k, there in enumerate(found) if there == name]
         if len(places) > 1:
-            raise DataError(f"{path}: expected one column for {name}, found {', '.join(found[k] for k in places)}")
+            named = ", ".join(table.columns[k].strip() for k in places)
+            raise DataError(f"{path}: expected one column for {name}, found {named}")
         if places:
             where[name] = places[0]
         elif name in NEEDED:
-            named = " or ".join((name, *others))
-            raise DataError(f"{path}: expected a column {named}, found {', '.join(found)}")
+            named = " or ".join((name, *others[:3]))
+            raise DataError(f"{path}: expected a column {named}, found {shown(', '.join(table.columns))}")
     return where
 
 
-def _answer(cells: dict[str, str], where: str) -> Answer:
-    left, right, selection = cells["condition_1"], cells["condition_2"], cells["selection"]
-    for name in ("observer", "condition_1", "condition_2"):
-        if not cells[name]:
-            raise DataError(f"{where}: {name}: expected a name, found nothing")
-    words = {left: left, right: right, "1": left, "2": right, "left": left, "right": right}
-    # A stimulus may be called 2, or left: its name goes before.
-    words |= {left: left, right: right}
-    if selection not in words:
-        raise DataError(f"{where}: selection: expected 1, 2, left, right, {left} or {right}, found {selection!r}")
-    seed = cells.get("seed", "")
-    if seed and not (seed.removeprefix("-").isascii() and seed.removeprefix("-").isdigit() and len(seed) < 30):
-        raise DataError(f"{where}: seed: expected a whole number, found {seed!r}")
-    try:
-        time = float(cells.get("response_time") or "nan")
-    except ValueError:
-        found = cells["response_time"]
-        raise DataError(f"{where}: response_time: expected seconds, found {found!r}") from None
+T = TypeVar("T")
+
+
+class _Optional:
+    """Reads what an answer can do without; what cannot be read counts as missing, and is counted."""
+
+    def __init__(self, separator: str) -> None:
+        self.decimal_comma = separator != ","
+        self.missing: dict[str, tuple[int, str]] = {}
+
+    def read(self, line: str, name: str, text: str, parse: Callable[[str], T], missing: T) -> T:
+        """What a text says, or `missing`."""
+        if not text:
+            return missing
+        try:
+            return parse(text)
+        except ValueError:
+            count, first = self.missing.get(name, (0, f"{line}: {shown(text)}"))
+            self.missing[name] = count + 1, first
+            return missing
+
+    def seconds(self, text: str) -> float:
+        """A response time; a ValueError if it is none."""
+        found = float(text.replace(",", ".") if self.decimal_comma else text)
+        if not (math.isnan(found) or 0 <= found <= LONGEST_TIME):
+            raise ValueError
+        return found
+
+    def log(self) -> None:
+        """Say how much was missing."""
+        for name, (count, first) in self.missing.items():
+            logging.getLogger("torchbrdf").warning(
+                "torchbrdf: %s that cannot be read counts as missing, in %d answers; the first: %s", name, count, first
+            )
+
+
+def _answer(cells: Mapping[str, str], side: str, line: str, optional: _Optional) -> Answer:
+    left, right = cells["condition_1"], cells["condition_2"]
+    kind: Any = cells.get("kind", "").strip().casefold() or "trial"  # checked there: not every kind counts
     try:
         return Answer(
             observer=cells["observer"],
@@ -202,14 +230,36 @@ def _answer(cells: dict[str, str], where: str) -> Answer:
             material=cells.get("scene", ""),
             left=left,
             right=right,
-            chosen=words[selection],
-            response_time=time,
-            time_stamp=cells.get("time_stamp", ""),
-            seed=int(seed) if seed else None,
-            kind=cells.get("kind") or "trial",  # type: ignore[arg-type]  # checked there
+            chosen=left if side == LEFT else right,
+            response_time=optional.read(
+                line, "response_time", cells.get("response_time", ""), optional.seconds, math.nan
+            ),
+            time_stamp=optional.read(line, "time_stamp", cells.get("time_stamp", ""), _printable, ""),
+            seed=optional.read(line, "seed", cells.get("seed", ""), _seed, None),
+            kind=kind,
         )
     except DataError as error:
-        raise DataError(f"{where}: {error}") from None
+        raise DataError(f"{line}: {error}") from None
+
+
+def _seconds(time: float) -> str:
+    """A time to the millisecond, or as exactly as it is."""
+    if math.isnan(time):
+        return ""
+    short = f"{time:.3f}"
+    return short if float(short) == time else repr(time)
+
+
+def _printable(text: str) -> str:
+    if not is_one_line(text):
+        raise ValueError
+    return text
+
+
+def _seed(text: str) -> int | None:
+    if not re.fullmatch(r"-?\d{1,38}", text.strip(), re.ASCII):
+        raise ValueError
+    return int(text)
 
 
 def by_observer(answers: Sequence[Answer]) -> dict[str, list[Answer]]:

@@ -1,13 +1,15 @@
 """What observers are asked: the pictures of a run, the experiments with them, and the words around. `study.json`."""
 
-import json
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.files import write_json
+from torchbrdf.names import check_name, is_one_line
+from torchbrdf.reading import read_json, reading
 from torchbrdf.registry import unknown
 
 PLAN = "study.json"
@@ -34,6 +36,20 @@ TEXTS = {
     "screened": "Thank you for your interest. This study needs other conditions, so there is nothing more to do.",
 }
 
+SELF_REPORTS: Mapping[str, tuple[str, ...]] = {
+    "colour_vision": ("normal", "deficient", "not sure"),
+    "acuity": ("yes", "no"),
+    "room": ("dark", "dim", "bright"),
+}
+"""What observers are asked of themselves, with the answers to choose from; a plan may screen by them."""
+
+# Trials of one observer: at two seconds each, a week without sleep. All pairs of 447 stimuli are as many.
+MOST_TRIALS = 100_000
+# The seeds of observers, made of it, are kept as text.
+LARGEST_SEED = 10**32
+# Of differences and places in an order; beyond, it is no such thing.
+LARGEST_NUMBER = 1e12
+
 
 @dataclass(frozen=True)
 class Stimulus:
@@ -45,6 +61,9 @@ class Stimulus:
         loss: The loss that it was fitted under.
         outlier: Whether the fit failed.
         difference: Its image difference from the reference, if known.
+
+    Raises:
+        UsageError: The picture is no path of one line, or the difference no number that can be.
     """
 
     picture: str
@@ -52,6 +71,14 @@ class Stimulus:
     loss: str | None = None
     outlier: bool = False
     difference: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_line("picture", self.picture)
+        for name in ("model", "loss"):
+            if getattr(self, name) is not None:
+                _check_line(name, getattr(self, name))
+        if self.difference is not None:
+            _check_number("difference", self.difference)
 
 
 @dataclass(frozen=True)
@@ -63,12 +90,23 @@ class Material:
         reference: The file of the reference.
         stimuli: By name.
         order: Materials are drawn by rising `order`, such as the distinctness of image in degrees.
+
+    Raises:
+        DataError: The name or that of a stimulus is none.
+        UsageError: The reference is no path of one line, or the order no number that can be.
     """
 
     name: str
     reference: str
     stimuli: Mapping[str, Stimulus]
     order: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "material")
+        for name in self.stimuli:
+            check_name(name, f"stimulus of {self.name}")
+        _check_line("reference", self.reference)
+        _check_number("order", self.order)
 
 
 @dataclass(frozen=True)
@@ -98,20 +136,35 @@ class Experiment:
     catch: int = 0
 
     def __post_init__(self) -> None:
-        where = f"experiment {self.name!r}"
-        if len(set(self.stimuli)) != len(self.stimuli) or len(self.stimuli) < 2:
-            raise UsageError(f"{where}: stimuli: expected two or more, each once, found {', '.join(self.stimuli)}")
+        check_name(self.name, "experiment")
+        where, known = f"experiment {self.name!r}", set(self.stimuli)
+        if self.title:
+            _check_line(f"{where}: title", self.title)
+        if len(known) != len(self.stimuli) or len(self.stimuli) < 2:
+            found = shown(", ".join(self.stimuli))
+            raise UsageError(f"{where}: stimuli: expected two or more, each once, found {found}")
         for pair in self.pairs or ():
-            if len(set(pair)) != 2 or not set(pair) <= set(self.stimuli):
+            if len(set(pair)) != 2 or not set(pair) <= known:
                 raise UsageError(f"{where}: pairs: expected two of its stimuli, found {' and '.join(pair)}")
         if self.compare is not None and not 2 <= self.compare < len(self.stimuli):
             most = len(self.stimuli) - 1
-            raise UsageError(f"{where}: compare: expected 2 to {most} of {most + 1} stimuli, found {self.compare}")
+            found = shown(self.compare, 20)
+            raise UsageError(f"{where}: compare: expected 2 to {most} of {most + 1} stimuli, found {found}")
         if self.compare is not None and self.pairs is not None:
             raise UsageError(f"{where}: expected pairs or compare, found both")
         for name in ("repeats", "catch"):
-            if getattr(self, name) < 0:
-                raise UsageError(f"{where}: {name}: expected 0 or more, found {getattr(self, name)}")
+            if not 0 <= getattr(self, name) <= MOST_TRIALS:
+                raise UsageError(
+                    f"{where}: {name}: expected 0 to {MOST_TRIALS}, found {shown(getattr(self, name), 20)}"
+                )
+
+    @property
+    def pair_count(self) -> int:
+        """How many pairs of a material an observer compares."""
+        if self.pairs is not None:
+            return len(self.pairs)
+        count = len(self.stimuli)
+        return (count * (count - 1 if self.compare is None else self.compare) + 1) // 2
 
 
 @dataclass(frozen=True)
@@ -141,25 +194,31 @@ class Plan:
     mark: str = ""
 
     def __post_init__(self) -> None:
-        for key in self.texts:
+        for key, text in self.texts.items():
             if key not in TEXTS:
                 raise unknown("text of a study", key, TEXTS)
+            for line in text.splitlines():
+                if not is_one_line(line.replace("\t", " ")):
+                    raise UsageError(f"text {key!r}: expected printable lines, found {shown(line)}")
+        if not abs(self.seed) <= LARGEST_SEED:
+            raise UsageError(f"study: seed: expected at most {LARGEST_SEED:.0e}, found {shown(self.seed, 20)}")
+        if self.mark:
+            _check_line("mark", self.mark)
         materials = [material.name for material in self.materials]
         experiments = [experiment.name for experiment in self.experiments]
         for kind, names in (("material", materials), ("experiment", experiments)):
             if not names or len(set(names)) != len(names):
-                raise UsageError(f"study: expected {kind}s, each once, found {', '.join(names) or 'none'}")
-        for name in (
-            *materials,
-            *experiments,
-            *(stimulus for material in self.materials for stimulus in material.stimuli),
-        ):
-            if not name.isprintable():  # answers have a line each
-                raise UsageError(f"study: expected names of one line, found {name!r}")
+                raise UsageError(f"study: expected {kind}s, each once, found {shown(', '.join(names)) or 'none'}")
         for experiment in self.experiments:
             self._check(experiment)
 
     def _check(self, experiment: Experiment) -> None:
+        trials = len(self.materials) * experiment.pair_count + experiment.repeats + experiment.catch
+        if trials > MOST_TRIALS:
+            raise UsageError(
+                f"experiment {experiment.name!r}: expected at most {MOST_TRIALS} trials an observer, found {trials}: "
+                f"{experiment.pair_count} pairs of {len(self.materials)} materials; `compare` takes fewer pairs"
+            )
         for material in self.materials:
             for name in experiment.stimuli:
                 if name not in material.stimuli:
@@ -169,6 +228,15 @@ class Plan:
                     f"experiment {experiment.name!r}: catch trials: expected {MEASURED} among the stimuli of "
                     f"{material.name}, and a stimulus with a known difference"
                 )
+
+    def check_screening(self) -> None:
+        """Refuse a screening that would let nobody in: a UsageError."""
+        for key, allowed in self.screening.items():
+            if key not in SELF_REPORTS:
+                raise unknown("self-report to screen by", key, SELF_REPORTS)
+            for choice in allowed:
+                if choice not in SELF_REPORTS[key]:
+                    raise unknown(f"answer to {key}", choice, SELF_REPORTS[key])
 
     def experiment(self, name: str) -> Experiment:
         """An experiment by its name."""
@@ -202,48 +270,70 @@ class Plan:
             DataError: Says what is not as expected, or which picture is missing.
         """
         path = Path(folder) / PLAN
+        if not path.exists():
+            raise DataError(f"{path}: cannot be read (no such file); run a recipe such as fores2012 first")
+        record: dict[str, Any] = read_json(path, dict[str, Any], EXPECTED)
         try:
-            plan = cls._from(json.loads(path.read_text(encoding="utf-8")))
-        except OSError as error:
-            hint = "; run a recipe such as fores2012 first" if isinstance(error, FileNotFoundError) else ""
-            raise DataError(f"{path}: cannot be read ({error.strerror}){hint}") from None
+            with reading(path, EXPECTED):
+                plan = _plan_of(record)
+                plan.check_screening()
         except UsageError as error:
             raise DataError(f"{path}: {error}") from None
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise DataError(f"{path}: expected the plan of a study ({type(error).__name__}: {error})") from None
         for material in plan.materials:
             pictures = [stimulus.picture for stimulus in material.stimuli.values()]
             for picture in (material.reference, *pictures):
                 inside(Path(folder), picture, path)
         return plan
 
-    @classmethod
-    def _from(cls, record: dict[str, Any]) -> "Plan":
-        materials = tuple(
-            Material(**{**one, "stimuli": {name: Stimulus(**what) for name, what in one["stimuli"].items()}})
-            for one in record.pop("materials")
-        )
-        experiments = tuple(
-            Experiment(
-                **{
-                    **one,
-                    "stimuli": tuple(one["stimuli"]),
-                    "pairs": None if one.get("pairs") is None else tuple((a, b) for a, b in one["pairs"]),
-                }
-            )
-            for one in record.pop("experiments")
-        )
-        screening = {key: tuple(values) for key, values in record.pop("screening", {}).items()}
-        return cls(materials, experiments, screening=screening, **record)
+
+EXPECTED = "the plan of a study"
+
+
+def _plan_of(record: dict[str, Any]) -> Plan:
+    """The plan that a record is; a misspelt key would be a setting that is silently not there."""
+    import msgspec  # late, as in `reading`
+
+    _check_keys(record, Plan, "a plan")
+    for name, kind in (("materials", Material), ("experiments", Experiment)):
+        for k, one in enumerate(_entries(record.get(name))):
+            _check_keys(one, kind, f"{name}[{k}]")
+            stimuli = one.get("stimuli")
+            if kind is Material and isinstance(stimuli, dict):
+                for key, what in stimuli.items():
+                    if isinstance(what, dict):
+                        _check_keys(what, Stimulus, f"{name}[{k}].stimuli[{shown(key, 30)}]")
+    return msgspec.convert(record, Plan)
+
+
+def _entries(value: Any) -> list[dict[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+
+
+def _check_keys(record: Mapping[str, Any], kind: type, where: str) -> None:
+    known = [one.name for one in fields(kind)]
+    for key in record:
+        if key not in known:
+            raise unknown(f"key of {where}", key, known)
+
+
+def _check_line(what: str, text: str) -> None:
+    if not is_one_line(text):
+        raise UsageError(f"{what}: expected one printable line, found {shown(text)}")
+
+
+def _check_number(what: str, value: float) -> None:
+    if not (math.isfinite(value) and abs(value) <= LARGEST_NUMBER):
+        raise UsageError(f"{what}: expected a number up to {LARGEST_NUMBER:g}, found {value}")
 
 
 def inside(folder: Path, picture: str, where: Path) -> Path:
     """Path of a picture in a folder; a DataError if it is not there, or leads out of it."""
-    path = (folder / picture).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise DataError(f"{where}: expected pictures in {folder}, found {picture}")
-    if not path.is_file():
-        raise DataError(f"{where}: {picture}: no such picture")
+    with reading(where, f"a picture's path in {folder}"):
+        path = (folder / picture).resolve()
+        if not path.is_relative_to(folder.resolve()):
+            raise DataError(f"{where}: expected pictures in {folder}, found {shown(picture)}")
+        if not path.is_file():
+            raise DataError(f"{where}: {picture}: no such picture")
     return path
 
 

@@ -14,13 +14,12 @@ from typing import Any
 from flask import Flask, Response, abort, jsonify, make_response, redirect, render_template, request
 from werkzeug.exceptions import HTTPException
 
-from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
+from torchbrdf.errors import TorchbrdfError, UsageError, shown
 from torchbrdf.reading import read_bytes
-from torchbrdf.registry import unknown
 from torchbrdf.study.connections import address, listening, make_server, say, stopping
 from torchbrdf.study.guard import Begins, Site
 from torchbrdf.study.pictures import find_pictures, plain_png
-from torchbrdf.study.plan import PLAN, TEXTS, Plan
+from torchbrdf.study.plan import SELF_REPORTS, TEXTS, Plan
 from torchbrdf.study.store import (
     SIDES,
     STORE,
@@ -50,9 +49,7 @@ LONGEST_RESPONSE = 86_400.0
 
 # Self-reports and their answers; None: free text.
 REPORTS: dict[str, tuple[str, ...] | None] = {
-    "colour_vision": ("normal", "deficient", "not sure"),
-    "acuity": ("yes", "no"),
-    "room": ("dark", "dim", "bright"),
+    **SELF_REPORTS,
     "display": None,
 }
 LONGEST_TEXT = 100
@@ -149,8 +146,8 @@ def make_app(
     plan.experiment(experiment)
     site = Site() if site is None else site
     pictures = find_pictures(plan, Path(folder))
-    check_screening(plan, Path(folder) / PLAN)
-    texts = {key: paragraphs(plan, key, Path(folder) / PLAN) for key in TEXTS}
+    plan.check_screening()
+    texts = {key: re.split(r"\n\s*\n", plan.text(key).strip()) for key in TEXTS}
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
@@ -278,26 +275,6 @@ def make_app(
         return problem(403, "This study has all the observers that it needs. Thank you for your interest.")
 
     return app
-
-
-def check_screening(plan: Plan, path: Path) -> None:
-    """A DataError if a plan screens by what nobody is asked, or by an answer that nobody can give."""
-    for key, allowed in plan.screening.items():
-        choices = REPORTS.get(key)
-        if choices is None:
-            known = [name for name, choices in REPORTS.items() if choices]
-            raise DataError(f"{path}: {unknown('self-report to screen by', key, known)}")
-        for choice in allowed:
-            if choice not in choices:
-                raise DataError(f"{path}: {unknown(f'answer to {key}', str(choice), choices)}")
-
-
-def paragraphs(plan: Plan, key: str, path: Path) -> list[str]:
-    """A text that is shown to observers; an empty line parts paragraphs."""
-    text = plan.text(key)
-    if not isinstance(text, str):
-        raise DataError(f"{path}: texts: {key}: expected text, found {shown(text)}")
-    return re.split(r"\n\s*\n", text.strip())
 
 
 class Seldom(logging.Filter):

@@ -3,15 +3,26 @@
 import random
 
 from torchbrdf.errors import UsageError
+from torchbrdf.progress import Progress, quiet
 from torchbrdf.study.answers import SIMULATED, Answer
 from torchbrdf.study.design import observer_seed, trials
 from torchbrdf.study.plan import Experiment, Plan
 
 NOISE = 2.0
 """Of an internal value, in units of the image difference. An assumption, no measurement."""
+LARGEST_NOISE = 1e6
+MOST_ANSWERS = 1_000_000
+"""Of all observers together; they take a minute, and some hundred bytes each."""
 
 
-def simulate(plan: Plan, experiment: Experiment, observers: int, noise: float = NOISE, seed: int = 0) -> list[Answer]:
+def simulate(
+    plan: Plan,
+    experiment: Experiment,
+    observers: int,
+    noise: float = NOISE,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> list[Answer]:
     """Simulate observers' answers by Thurstone's case V.
 
     Each sees a stimulus's difference D from the reference as D + noise * e, e normal, anew in every trial, and chooses
@@ -23,8 +34,13 @@ def simulate(plan: Plan, experiment: Experiment, observers: int, noise: float = 
     """
     if observers < 1:
         raise UsageError(f"simulated observers: expected at least 1, found {observers}")
-    if not noise > 0:
-        raise UsageError(f"simulated observers: noise: expected a number above 0, found {noise}")
+    each = len(plan.materials) * experiment.pair_count + experiment.repeats + experiment.catch
+    if observers * each > MOST_ANSWERS:
+        raise UsageError(
+            f"simulated observers: expected at most {MOST_ANSWERS // each} with {each} trials each, found {observers}"
+        )
+    if not 0 < noise <= LARGEST_NOISE:
+        raise UsageError(f"simulated observers: noise: expected a number above 0 up to 1e6, found {noise}")
     seen = {
         (material.name, name): stimulus.difference
         for material in plan.materials
@@ -52,4 +68,5 @@ def simulate(plan: Plan, experiment: Experiment, observers: int, noise: float = 
                     kind=trial.kind,
                 )
             )
+        progress(index + 1, observers)
     return answers

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import torch
-from scipy.io import loadmat
 from torch import Tensor
 
 from torchbrdf.errors import DataError
+from torchbrdf.perception.datasets.matlab import read_matrices
 
 TABLE_LOSSES = {"rms": "rms", "rms_cos": "cosine_rms", "rms_cos_cube": "cube_root"}
 """Names in the file, and the losses that they are: of their own grid of directions, on MERL's measured tables."""
@@ -19,23 +20,20 @@ def read_lagunas(path: Path | str, materials: int = 100) -> dict[str, Tensor]:
     The names are those of TABLE_LOSSES and of PICTURE_DISTANCES.
 
     Raises:
-        DataError: The file is missing, or a matrix is not as expected.
+        DataError: The file is missing or damaged, or a matrix is not as expected: finite, at least 0, symmetric.
 
     Source: M. Lagunas et al., A similarity measure for material appearance, 2019, doi:10.1145/3306346.3323036.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise DataError(f"{path}: no such file; expected distances of MERL's tables by Lagunas et al. 2019")
-    try:
-        content = loadmat(path)
-    except Exception as error:  # scipy raises many kinds
-        raise DataError(f"{path}: expected a MAT file: {error}") from None
-    found = {}
-    for name in (*TABLE_LOSSES, *PICTURE_DISTANCES):
-        if name not in content or content[name].shape != (materials, materials):
-            shape = content[name].shape if name in content else "no such matrix"
+    names = (*TABLE_LOSSES, *PICTURE_DISTANCES)
+    found = read_matrices(path, names)
+    for name in names:
+        if name not in found or found[name].shape != (materials, materials):
+            shape = found[name].shape if name in found else "no such matrix"
             raise DataError(f"{path}: {name}: expected {materials} x {materials} distances, found {shape}")
-        found[name] = torch.from_numpy(content[name].astype("float64"))
-        if not bool((found[name] >= 0).all()):
-            raise DataError(f"{path}: {name}: expected distances of at least 0")
-    return found
+        matrix = found[name]
+        if not (np.isfinite(matrix).all() and (matrix >= 0).all() and (matrix == matrix.T).all()):
+            raise DataError(f"{path}: {name}: expected finite distances of at least 0, the same both ways")
+    return {name: torch.from_numpy(found[name]) for name in names}

@@ -1,6 +1,7 @@
 """Opinions: how far people find approximations from the material that they approximate."""
 
 import csv
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, shown
+from torchbrdf.names import check_name
+from torchbrdf.reading import read_text
 
 SOURCE = (
     "the opinions of Lavoue, Bonneel, Farrugia and Soler 2021, Perceptual quality of BRDF approximations: dataset and "
@@ -65,33 +68,32 @@ def read_opinions(path: Path | str) -> Opinions:
         DataError: The file is missing, or a line is not as expected.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise DataError(f"{path}: no such file; expected {SOURCE}")
+    text = read_text(path, "opinions")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (OSError, ValueError, csv.Error) as error:
+        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+    except csv.Error as error:
         raise DataError(f"{path}: expected CSV: {error}") from None
     expected = ["method", "material", "distance"]
     if not rows or rows[0] != expected:
-        raise DataError(
-            f"{path}: line 1: expected {','.join(expected)}, found {','.join(rows[0]) if rows else 'nothing'}"
-        )
+        found = shown(",".join(rows[0])) if rows else "nothing"
+        raise DataError(f"{path}: line 1: expected {','.join(expected)}, found {found}")
     if len(rows) == 1:
         raise DataError(f"{path}: expected opinions, found no row")
     lines: dict[tuple[str, str], int] = {}
     distance = []
     for line, row in enumerate(rows[1:], 2):
-        if len(row) != 3 or not row[0] or not row[1]:
-            raise DataError(
-                f"{path}: line {line}: expected a method, a material and a distance, found {','.join(row)!r}"
-            )
+        if len(row) != 3:
+            found = shown(",".join(row))
+            raise DataError(f"{path}: line {line}: expected a method, a material and a distance, found {found}")
+        method, material = (check_name(name, f"{path}: line {line}") for name in row[:2])
         value = _number(row[2])
         if not 0 <= value <= 1:
-            raise DataError(f"{path}: line {line}: expected a distance from 0 to 1, found {row[2]!r}")
-        before = lines.setdefault((row[0], row[1]), line)
+            raise DataError(f"{path}: line {line}: expected a distance from 0 to 1, found {shown(row[2])}")
+        before = lines.setdefault((method, material), line)
         if before != line:
-            raise DataError(f"{path}: line {line}: {row[0]} of {row[1]} is already in line {before}")
+            raise DataError(f"{path}: line {line}: {method} of {material} is already in line {before}")
         distance.append(value)
     methods, materials = map(list, zip(*lines, strict=True))
     return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64, device="cpu"))

@@ -4,7 +4,6 @@ The file is JSON, `{set: {material: {"diffuse": [R, G, B], "model": ..., paramet
 fits/ of https://github.com/bsdfbenchmark/bbm, whose reading of each set is followed here, but for what `SETS` says.
 """
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,10 +13,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes import LOBES, Lambert, Sum
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.measured.merl import CHANNEL_FACTORS
+from torchbrdf.names import check_name
+from torchbrdf.reading import read_json
 
 ORIGIN = "the fits of https://github.com/bsdfbenchmark/bbm, folder fits/, collected as one JSON file"
 NGAN = "A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126"
@@ -31,6 +32,9 @@ BAGHER = (
 )
 
 COLOR, NUMBER = (3,), (1,)
+# Albedos, of at least 0 in every set; and what no number of a fit goes beyond, but for Bagher's c of up to 1e109.
+ALBEDOS = ("diffuse", "specular", "A")
+LARGEST, LARGEST_C = 1e9, 1e300
 Numbers = dict[str, Tensor]
 
 
@@ -178,11 +182,8 @@ def read_published(
     path = Path(path)
     if not path.exists():
         raise DataError(f"{path}: no such file; expected {ORIGIN}")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected {ORIGIN}, found {error}") from None
-    known = {name: content[name] for name in SETS if name in content} if isinstance(content, dict) else {}
+    content: dict[str, Any] = read_json(path, dict[str, Any], ORIGIN)
+    known = {name: content[name] for name in SETS if name in content}
     if not known:
         raise DataError(f"{path}: expected {ORIGIN}, found none of the sets {', '.join(SETS)}")
     return {name: _read_set(path, name, fits, dtype, channel_scales) for name, fits in known.items()}
@@ -190,16 +191,16 @@ def read_published(
 
 def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, channel_scales: bool) -> PublishedFits:
     if not isinstance(fits, dict) or not fits:
-        raise DataError(f"{path}: {name}: expected fits by material, found {_shown(fits)}")
+        raise DataError(f"{path}: {name}: expected fits by material, found {shown(fits)}")
     reading = SETS[name]
     fields = {"diffuse": COLOR} | reading.fields
     columns: dict[str, list[Tensor]] = {field: [] for field in fields}
     for material, fit in fits.items():
-        where = f"{path}: {name}, {material}"
+        where = f"{path}: {name}, {check_name(material, f'{path}: {name}')}"
         if not isinstance(fit, dict):
-            raise DataError(f"{where}: expected the fields of a fit, found {_shown(fit)}")
+            raise DataError(f"{where}: expected the fields of a fit, found {shown(fit)}")
         if fit.get("model") != reading.model:
-            raise DataError(f"{where}, model: expected {reading.model!r}, found {_shown(fit.get('model'))}")
+            raise DataError(f"{where}, model: expected {reading.model!r}, found {shown(fit.get('model'))}")
         for field, shape in fields.items():
             columns[field].append(_numbers(f"{where}, {field}", fit, field, shape, field in reading.positive))
     stacked = {field: torch.stack(rows) for field, rows in columns.items()}
@@ -208,6 +209,11 @@ def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, chann
         scale = diffuse.new_tensor(CHANNEL_FACTORS)
         diffuse, values["specular"] = diffuse * scale, values["specular"] * scale
     dtype = dtype or torch.get_default_dtype()
+    for parameter, rows in {"albedo": diffuse, **values}.items():
+        odd = (~rows.to(dtype).isfinite()).flatten(1).any(1).nonzero()
+        if len(odd):
+            material = list(fits)[int(odd[0])]
+            raise DataError(f"{path}: {name}, {material}: expected numbers that make a finite {parameter}")
     model = Sum(Lambert(albedo=diffuse, dtype=dtype), LOBES[reading.lobe](dtype=dtype, **values))
     return PublishedFits(name, reading.source, list(fits), model)
 
@@ -219,9 +225,11 @@ def _numbers(where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...]
     found = fit[field]
     flat = [found] if shape == NUMBER else _flat(found, shape)
     if flat is None or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in flat):
-        raise DataError(f"{where}: expected {_kind(shape)}, found {_shown(found)}")
-    if not all(math.isfinite(x) and (x > 0 or not positive) for x in flat):
-        raise DataError(f"{where}: expected finite numbers{' above 0' * positive}, found {_shown(found)}")
+        raise DataError(f"{where}: expected {_kind(shape)}, found {shown(found)}")
+    least, most = 0.0 if positive or field in ALBEDOS else -LARGEST, LARGEST_C if field == "c" else LARGEST
+    if not all(least <= x <= most and (x > 0 or not positive) for x in flat):
+        words = "numbers above 0" if positive else f"numbers from {least:g}"
+        raise DataError(f"{where}: expected {words} up to {most:g}, found {shown(found)}")
     return torch.tensor(flat, dtype=torch.float64, device="cpu").reshape(shape)
 
 
@@ -237,8 +245,3 @@ def _flat(found: Any, shape: tuple[int, ...]) -> list[Any] | None:
 
 def _kind(shape: tuple[int, ...]) -> str:
     return "a number" if shape == NUMBER else " x ".join(map(str, shape)) + " numbers"
-
-
-def _shown(found: Any) -> str:
-    text = repr(found)
-    return text if len(text) <= 60 else f"{text[:57]}..."

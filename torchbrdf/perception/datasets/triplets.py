@@ -1,21 +1,35 @@
 """Triplets: which of two materials people find more like a third."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+import msgspec
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.catalogue import MERL_SHA256
+from torchbrdf.reading import read_json
 
 SOURCE = (
     "the answers of Lagunas et al. 2019, A similarity measure for material appearance, doi:10.1145/3306346.3323036, "
     "whose authors give them on the paper's page"
 )
+
+
+# More than any question was ever put to.
+MOST_VOTES = 1_000_000
+_Index = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+_Votes = Annotated[int, msgspec.Meta(ge=0, le=MOST_VOTES)]
+
+
+class _File(msgspec.Struct):
+    """What a file of triplets holds."""
+
+    answers: Annotated[list[tuple[_Index, _Index, _Index]], msgspec.Meta(min_length=1)]
+    agreement: list[tuple[_Votes, _Votes]]
 
 
 def file_order(names: Sequence[str]) -> list[str]:
@@ -74,33 +88,18 @@ def read_triplets(path: Path | str, materials: Sequence[str] | None = None) -> T
     """
     names = file_order(list(MERL_SHA256)) if materials is None else list(materials)
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise DataError(f"{path}: no such file; expected {SOURCE}")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected JSON: {str(error).splitlines()[0]}") from None
-    if not isinstance(data, dict):
-        raise DataError(f"{path}: expected an object with answers and agreement, found {type(data).__name__}")
-    questions, votes = (_integers(data, key, width, path) for key, width in (("answers", 3), ("agreement", 2)))
-    if len(questions) != len(votes):
-        raise DataError(f"{path}: {len(questions)} answers but {len(votes)} agreements; expected one for each")
-    _refuse(((questions < 0) | (questions >= len(names))).any(1), questions, path, f"indices 0 to {len(names) - 1}")
+    data: _File = read_json(path, _File, "answers to triplets and their agreement")
+    if len(data.answers) != len(data.agreement):
+        counts = f"{len(data.answers)} answers but {len(data.agreement)} agreements"
+        raise DataError(f"{path}: {counts}; expected one for each")
+    questions, votes = (torch.tensor(rows, dtype=torch.int64, device="cpu") for rows in (data.answers, data.agreement))
+    _refuse((questions >= len(names)).any(1), questions, path, f"indices 0 to {len(names) - 1}")
     first, a, b = questions.unbind(1)
     _refuse((first == a) | (first == b) | (a == b), questions, path, "three different materials")
-    _refuse(((votes < 0).any(1)) | (votes.sum(1) == 0), votes, path, "votes of at least 0, and one at least")
+    _refuse(votes.sum(1) == 0, votes, path, "one vote at least")
     return Triplets(names, questions, votes)
-
-
-def _integers(data: dict[str, Any], key: str, width: int, path: Path) -> Tensor:
-    """A list of lists of integers, `(T, width)`."""
-    rows = data.get(key)
-    if not isinstance(rows, list) or not rows:
-        raise DataError(f"{path}: {key}: expected a list of {width} integers a question, found {type(rows).__name__}")
-    for place, row in enumerate(rows):
-        if not isinstance(row, list) or len(row) != width or not all(type(entry) is int for entry in row):
-            raise DataError(f"{path}: {key}[{place}]: expected {width} integers, found {row!r}")
-    return torch.tensor(rows, dtype=torch.long, device="cpu")
 
 
 def _refuse(bad: Tensor, rows: Tensor, path: Path, expected: str) -> None:
