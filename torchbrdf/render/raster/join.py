@@ -97,7 +97,8 @@ def _concatenated(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
             normals.append(np.full(part.vertices.shape, np.nan))
             continue
         used = np.unique(part.faces)
-        length = np.linalg.norm(part.normals, axis=1)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(part.normals, axis=1)
         own = unit(part.normals)
         own[~own.any(1)] = np.nan
         normals.append(own)
@@ -135,9 +136,9 @@ def _inside_out(places: np.ndarray, faces: np.ndarray) -> bool:
     """Whether triangles close a surface and go round the wrong way."""
     import trimesh
 
-    mesh = trimesh.Trimesh(places, faces, process=False)
-    with np.errstate(invalid="ignore"):  # a flat mesh has no middle
-        return bool(mesh.is_watertight and mesh.volume < 0)
+    a, b, c = places[faces].transpose(1, 0, 2)
+    volume = (a * np.cross(b, c)).sum() / 6  # of the pyramids below each triangle
+    return bool(volume < 0 and trimesh.Trimesh(places, faces, process=False).is_watertight)
 
 
 def _means(count: int, faces: np.ndarray, flat: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchbrdf.errors import ShapeError
 from torchbrdf.files import replacing
 from torchbrdf.render.raster.join import join
 from torchbrdf.render.raster.mesh_formats import read_parts
@@ -23,6 +24,9 @@ class Mesh:
         normals: Unit vectors pointing outward, `(V, 3)`.
         name: What messages call it: the path of its file.
 
+    Raises:
+        ShapeError: Shapes do not fit together, a face names no vertex, or a number is not finite.
+
     Example:
         >>> from torchbrdf.render import sphere
         >>> ball = sphere(levels=1)
@@ -34,6 +38,18 @@ class Mesh:
     faces: np.ndarray
     normals: np.ndarray
     name: str = field(default="mesh", compare=False)
+
+    def __post_init__(self) -> None:
+        shapes = [np.shape(array) for array in (self.vertices, self.faces, self.normals)]
+        if any(len(shape) != 2 or shape[1] != 3 or not shape[0] for shape in shapes) or shapes[0] != shapes[2]:
+            raise ShapeError(f"{self.name}: expected vertices (V, 3), faces (F, 3), normals (V, 3), found {shapes}")
+        if not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
+            raise ShapeError(
+                f"{self.name}: expected faces of vertices 0 to {len(self.vertices) - 1}, "
+                f"found {self.faces.min()} to {self.faces.max()}"
+            )
+        if not (np.isfinite(self.vertices).all() and np.isfinite(self.normals).all()):
+            raise ShapeError(f"{self.name}: expected finite vertices and normals, found others")
 
     @classmethod
     def load(cls, path: str | Path) -> "Mesh":
@@ -70,9 +86,12 @@ class Mesh:
 
     @property
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
-        """Bounding sphere: the middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
-        center = (self.vertices.min(0) + self.vertices.max(0)) / 2
-        return center, float(np.linalg.norm(self.vertices - center, axis=1).max())
+        """Bounding sphere: the middle of the triangles' bounding box `(3,)`, and how far they reach from there."""
+        there = np.zeros(len(self.vertices), bool)
+        there[self.faces] = True
+        used = self.vertices[there]
+        center = (used.min(0) + used.max(0)) / 2
+        return center, float(np.linalg.norm(used - center, axis=1).max())
 
 
 def _warn(path: Path, repair: str) -> None:
