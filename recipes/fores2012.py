@@ -7,6 +7,8 @@ from typing import ClassVar
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import ONLY, SHOWN_DIFFERENCES, FitGridRecipe, Pictures, load_materials, simulate_responses
+from torchbrdf.experiment.settings import LOBE_COUNTS, PICTURE_SIDES
+from torchbrdf.fitting import STRATEGIES
 from torchbrdf.losses import LOSSES, make_loss
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, find_mesh
@@ -27,14 +29,20 @@ class Fores2012(FitGridRecipe):
 
     name = "fores2012"
 
-    lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares"})
+    lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares", **LOBE_COUNTS})
     compare_strategy: str | None = field(default="staged", metadata={"help": OTHER})
     environment: str = field(default=GROVE, metadata={"help": "grove, studio, or an .exr or .hdr light probe"})
     shape: str = field(default="blob", metadata={"help": "blob, sphere, or a mesh file"})
-    size: int = field(default=400, metadata={"help": "pixels of a side"})
-    turn: float = field(default=15.0, metadata={"help": "degrees between the reference's view and the fits'"})
-    observers: tuple[int, ...] = field(default=(15, 20), metadata={"help": "simulated, of experiments 1 and 2"})
-    noise: float = field(default=NOISE, metadata={"help": "of what simulated observers see, in Delta E"})
+    size: int = field(default=400, metadata={"help": "pixels of a side", **PICTURE_SIDES})
+    turn: float = field(
+        default=15.0, metadata={"help": "degrees between the reference's view and the fits'", "low": -360, "high": 360}
+    )
+    observers: tuple[int, ...] = field(
+        default=(15, 20), metadata={"help": "simulated, of experiments 1 and 2", "low": 2, "high": 1000}
+    )
+    noise: float = field(
+        default=NOISE, metadata={"help": "of what simulated observers see, in Delta E", "low": 0.001, "high": 1000}
+    )
 
     # What people who are asked are told, where it is not `torchbrdf.study.plan.TEXTS`, and who may take part.
     texts: ClassVar[Mapping[str, str]] = {}
@@ -42,12 +50,12 @@ class Fores2012(FitGridRecipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.observers) != 2 or min(self.observers) < 2:
-            raise UsageError(f"fores2012: observers: expected two numbers, at least 2 each, found {self.observers}")
-        if not self.noise > 0:
-            raise UsageError(f"fores2012: noise: expected a number above 0, found {self.noise}")
-        if not 16 <= self.size <= 4096:
-            raise UsageError(f"fores2012: size: expected 16 to 4096 pixels, found {self.size}")
+        if len(self.observers) != 2:
+            raise UsageError(f"fores2012: observers: expected two numbers, found {len(self.observers)}")
+        if self.compare_strategy is not None:
+            STRATEGIES[self.compare_strategy]
+            if self.compare_strategy == self.strategy:
+                raise UsageError(f"fores2012: compare_strategy: expected another than {self.strategy}, or none")
 
     def steps(self, folder: RunFolder) -> Path:
         """Fits, pictures, observers, report."""

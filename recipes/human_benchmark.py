@@ -6,8 +6,8 @@ from pathlib import Path
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark
+from torchbrdf.experiment.settings import ANGLES
 from torchbrdf.losses import LOSSES
-from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
@@ -25,17 +25,17 @@ class HumanBenchmark(HumanAnswersRecipe):
     losses: tuple[str, ...] = field(default=(), metadata={"help": "losses to score; none: all that are registered"})
     images: bool = field(default=False, metadata={"help": "also score pictures of a sphere"})
     differences: tuple[str, ...] = field(default=("delta_e76",), metadata={"help": "image differences of the pictures"})
-    size: int = field(default=64, metadata={"help": "pixels of a side of the pictures"})
-    max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
+    size: int = field(default=64, metadata={"help": "pixels of a side of the pictures", "low": 16, "high": 512})
+    max_theta: float = field(
+        default=80.0, metadata={"help": "only pairs with both directions below this angle", **ANGLES}
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.quick:
             for key in ("materials", "human"):
                 if not getattr(self, key):
                     raise UsageError(f"{self.name}: {key}: expected a folder; quick=true runs on made-up answers")
-        if min(self.samples, self.replicates) < 2 or not 16 <= self.size <= 512:
-            raise UsageError(f"{self.name}: expected 2 samples and replicates at least, and 16 to 512 pixels")
-        check_max_theta(self.max_theta)
 
     def steps(self, folder: RunFolder) -> Path:
         """Distances of every loss, statistics, report."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import FitGridRecipe, Pictures, load_materials
+from torchbrdf.experiment.settings import PICTURE_SIDES
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.recipe import RECIPES, RunFolder
@@ -32,13 +33,17 @@ class ImageVsAnalytic(FitGridRecipe):
     diffuse: str = field(default="fit", metadata={"help": "fit: every loss chooses its own; or 45:0"})
     environment: str = field(default="grove", metadata={"help": "training scene: grove, studio, or a light probe"})
     shape: str = field(default="blob", metadata={"help": "training scene: blob, sphere, or a mesh file"})
-    train_size: int = field(default=128, metadata={"help": "pixels of a side that rendered losses see"})
-    lights: int = field(default=1024, metadata={"help": "lights that rendered losses see"})
+    train_size: int = field(
+        default=128, metadata={"help": "pixels of a side that rendered losses see", "low": 16, "high": 1024}
+    )
+    lights: int = field(default=1024, metadata={"help": "lights that rendered losses see", "low": 1, "high": 16384})
     unseen_environment: str = field(default="studio", metadata={"help": "the scene that no fit was made for"})
     unseen_shape: str = "sphere"
-    unseen_turn: float = field(default=140.0, metadata={"help": "degrees"})
-    unseen_elevation: float = field(default=20.0, metadata={"help": "degrees"})
-    size: int = field(default=256, metadata={"help": "pixels of a side of the pictures that are compared"})
+    unseen_turn: float = field(default=140.0, metadata={"help": "degrees", "low": -360, "high": 360})
+    unseen_elevation: float = field(default=20.0, metadata={"help": "degrees", "low": -89, "high": 89})
+    size: int = field(
+        default=256, metadata={"help": "pixels of a side of the pictures that are compared", **PICTURE_SIDES}
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,8 +54,8 @@ class ImageVsAnalytic(FitGridRecipe):
             least = DIFFERENCES[key].least_side
             sizes = {"train_size": self.train_size} if key in self.rendered else {}
             for name, size in {**sizes, "size": self.size}.items():
-                if not max(least, 16) <= size <= 4096:
-                    raise UsageError(f"{self.name}: {name}: {key} needs {max(least, 16)} to 4096 pixels, found {size}")
+                if size < least:
+                    raise UsageError(f"{self.name}: {name}: {key} needs {least} pixels of a side, found {size}")
 
     def steps(self, folder: RunFolder) -> Path:
         """References and tone maps, fits, pictures, report."""

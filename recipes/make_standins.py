@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from torchbrdf.errors import UsageError
+from torchbrdf.experiment.settings import FIT_SAMPLES
 from torchbrdf.fitting import fit
 from torchbrdf.lobes import DistributionBased, FitRecord, Lambert, Sum, write_fits
 from torchbrdf.lobes.distribution_based import NODES
@@ -27,12 +27,8 @@ class MakeStandins(Recipe):
     materials: str = field(
         default="", metadata={"help": "MERL-format tables; without it the bundled ones are refitted"}
     )
-    samples: int = field(default=40_000, metadata={"help": "pairs that the solver sees"})
-    digits: int = field(default=4, metadata={"help": "significant digits kept"})
-
-    def __post_init__(self) -> None:
-        if self.digits < 2:
-            raise UsageError(f"make_standins: digits: expected at least 2, found {self.digits}")
+    samples: int = field(default=40_000, metadata={"help": "pairs that the solver sees", **FIT_SAMPLES})
+    digits: int = field(default=4, metadata={"help": "significant digits kept", "low": 2, "high": 17})
 
     def steps(self, folder: RunFolder) -> Path:
         """Fit under the cube-root-compressed loss, so that the lobe's flanks count beside its peak."""

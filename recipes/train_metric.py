@@ -31,18 +31,21 @@ class TrainMetric(HumanAnswersRecipe):
         default="", metadata={"help": "the folder of a run of fores2012 that observers were asked about"}
     )
     answers: str = field(default="", metadata={"help": "the answers, a CSV file: torchbrdf study export"})
-    repeats: int = field(default=10, metadata={"help": "of the two-fold cross-validation over materials"})
-    iterations: int = field(default=40, metadata={"help": "of L-BFGS, from which early stopping chooses"})
+    repeats: int = field(
+        default=10, metadata={"help": "of the two-fold cross-validation over materials", "low": 1, "high": 1000}
+    )
+    iterations: int = field(
+        default=40, metadata={"help": "of L-BFGS, from which early stopping chooses", "low": 1, "high": 10_000}
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if bool(self.study) != bool(self.answers):
             raise UsageError(f"{self.name}: expected a study and its answers, found only one of them")
         if not self.quick and not self.study and not self.human:
             raise UsageError(f"{self.name}: expected human, or study and answers; quick=true runs on made-up answers")
         if self.human and not self.materials:
             raise UsageError(f"{self.name}: materials: expected a folder with the MERL tables")
-        if min(self.samples, self.repeats, self.iterations) < 1 or self.replicates < 2:
-            raise UsageError(f"{self.name}: expected at least 1 sample, repeat and iteration, and 2 replicates")
 
     def steps(self, folder: RunFolder) -> Path:
         """Terms of all distances, trainings on halves, one on everything, and what they are worth."""

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import UsageError, shown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -36,9 +36,9 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
         unknown lobe 'wrad'; expected one of lambert, ward; did you mean 'ward'?
     """
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(name[:100], known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}{hint}")
+    return UsageError(f"unknown {kind} {shown(name)}; expected one of {', '.join(known)}{hint}")
 
 
 class Registry(Mapping[str, T], Generic[T]):

@@ -1,5 +1,6 @@
 """The command line: what it prints, its exit status, and what bad input gets."""
 
+import argparse
 import json
 import re
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import pytest
 
 from torchbrdf.cli import main
+from torchbrdf.cli.common import number
 
 
 def test_fit_prints_and_writes(paint, tmp_path, capsys):
@@ -87,7 +89,6 @@ def test_run_lists_recipes_and_settings(capsys):
         (["fit", "PAINT", "--model", "wardd"], 2, "unknown lobe 'wardd'.*did you mean 'ward'"),
         (["fit", "PAINT", "--loss", "cube"], 2, "unknown loss 'cube'"),
         (["fit", "PAINT", "--strategy", "luck"], 2, "unknown strategy 'luck'"),
-        (["fit", "PAINT", "--lobes", "0"], 2, "lobes: expected at least 1"),
         (
             ["fit", "PAINT", "--max-theta", "120"],
             2,
@@ -96,9 +97,9 @@ def test_run_lists_recipes_and_settings(capsys):
         (["run", "fores2021"], 2, "unknown recipe 'fores2021'.*did you mean 'fores2012'"),
         (["run", "fores2012", "quik=true"], 2, "unknown setting of fores2012 'quik'"),
         (["run", "fores2012", "quick"], 2, "expected key=value, found 'quick'"),
-        (["run", "fores2012", "max_theta=120"], 2, "max_theta: expected an angle above 0 and at most 90"),
+        (["run", "fores2012", "max_theta=120"], 2, "max_theta: expected a number from 1 to 90, found '120'"),
         (["run", "image_vs_analytic", "rendered="], 2, "rendered: expected at least one name, found none"),
-        (["run", "fores2012", "size=huge"], 2, "size: expected int, found 'huge'"),
+        (["run", "fores2012", "size=huge"], 2, "size: expected a whole number from 16 to 4096, found 'huge'"),
         (["run", "fores2012", "models=phong", "--out", "OUT"], 2, "unknown lobe 'phong'"),
         (["run", "fores2012", "materials=nowhere", "--out", "OUT"], 1, "nowhere"),
         (["run", "fores2012", "environment=PAINT", "--out", "OUT"], 1, "expected an OpenEXR or a Radiance picture"),
@@ -118,10 +119,40 @@ def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, sai
     assert re.search(said, printed.err)
 
 
-def test_usage_errors_of_the_parser_exit_2(capsys):
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "torchbrdf: .*COMMAND; see torchbrdf --help"),
+        (["fti"], "torchbrdf: COMMAND: invalid choice: 'fti'"),
+        (["fit"], "torchbrdf fit: the following arguments are required: files; see torchbrdf fit --help"),
+        (["fit", "x", "--lobes", "0"], "torchbrdf fit: --lobes: expected a whole number from 1 to 8, found '0'; see"),
+        (["fit", "x", "--lobes", "9" * 9000], r"expected a whole number from 1 to 8, found '9+ \.\.\. 9+'; see"),
+        (["fit", "x", "--lbes", "1"], "torchbrdf fit: unknown option or word '--lbes'; see"),
+        (["fit", "x", "--" + "l" * 9000], "torchbrdf fit: unknown option or word '--l.*; see"),
+        (["study", "serve", "here", "there"], "torchbrdf study serve: unknown option or word 'there'; see"),
+    ],
+)
+def test_usage_errors_of_the_parser_exit_2_with_one_line(capsys, arguments, said):
     with pytest.raises(SystemExit) as caught:
-        main(["fit"])
+        main(arguments)
     assert caught.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and len(printed.err) <= 301 and printed.out == ""
+    assert re.match(f".*{said}", printed.err)
+
+
+def test_words_may_stand_behind_options(paint, tmp_path, capsys):
+    assert main(["run", "fores2012", "--out", str(tmp_path / "out"), "quik=true"]) == 2
+    assert "unknown setting of fores2012 'quik'" in capsys.readouterr().err
+    assert main(["fit", "nowhere", "--lobes", "1", str(paint), "--samples", "300"]) == 1
+    assert "paint" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400", "2", "", "x", "1" * 5000])
+def test_options_of_numbers_are_finite_and_bounded(text):
+    with pytest.raises(argparse.ArgumentTypeError, match=r"expected a number from 0 to 1, found .{2,40}$"):
+        number(0, 1)(text)
+    assert number(0, 1)("0.5") == 0.5
 
 
 def test_help_teaches():

@@ -1,10 +1,12 @@
 """Recipes: settings, folders, resuming, and every recipe in its quick form."""
 
 import json
+import math
+import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, get_type_hints
 
 import pytest
 from hypothesis import given
@@ -41,15 +43,50 @@ def test_settings_are_typed():
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("number", "five", "toy: number: expected int, found 'five'"),
-        ("share", "half", "toy: share: expected float"),
+        ("number", "five", "toy: number: expected a whole number, found 'five'"),
+        ("share", "half", "toy: share: expected a finite number, found 'half'"),
         ("quick", "maybe", "toy: quick: expected true or false, found 'maybe'"),
+        ("number", "1" * 23, "toy: number: expected a whole number, found '1+'"),
+        ("limit", "1" * 5000, r"toy: limit: expected a whole number, found '1+ \.\.\. 1+'$"),
+        ("share", "nan", "toy: share: expected a finite number, found 'nan'"),
+        ("share", "inf", "toy: share: expected a finite number, found 'inf'"),
+        ("names", "a\0b", r"toy: names: expected printable characters, found 'a\\x00b'"),
         ("numbr", "5", "unknown setting of toy 'numbr'.*did you mean 'number'"),
     ],
 )
 def test_wrong_settings_are_refused_in_a_line(key, value, said):
     with pytest.raises(UsageError, match=said):
         configure(Toy, {key: value})
+
+
+def numbers_of(kind: type[Recipe]) -> list[tuple[str, Any, Any]]:
+    """The settings of a recipe that are numbers, with a low and a high bound."""
+    hints = {name: str(hint) for name, hint in get_type_hints(kind).items()}
+    numeric = [one for one in fields(kind) if re.search(r"\b(int|float)\b", hints[one.name])]
+    return [(one.name, one.metadata.get("low"), one.metadata.get("high")) for one in numeric]
+
+
+SETTINGS = [(kind, *one) for kind in RECIPES.values() for one in numbers_of(kind)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "low", "high"), SETTINGS, ids=[f"{kind.name}-{key}" for kind, key, *_ in SETTINGS]
+)
+def test_every_number_has_bounds_that_hold(kind, key, low, high):
+    assert low is not None and high is not None
+    for text in ("nan", "inf", "-inf", "1e999", "1" * 23, "9" * 5000, str(low - 2), str(high * 2 + 1), "x", "{}"):
+        with pytest.raises(UsageError, match=rf"^{kind.name}: {key}: expected a (whole )?number from ") as caught:
+            configure(kind, {key: text})
+        assert len(str(caught.value)) < 200
+    for value in (math.nan, math.inf, low - 2, high * 2 + 1, "x"):
+        shown = (value, value) if isinstance(getattr(kind(quick=True), key), tuple) else value
+        with pytest.raises(UsageError, match=rf"^{kind.name}: {key}: expected a (whole )?number from "):
+            kind(quick=True, **{key: shown})
+
+
+@pytest.mark.parametrize("text", ["none", "all", "0"])
+def test_all_pairs_are_asked_for_in_any_words(text):
+    assert configure(RECIPES["fores2012"], {"samples": text}).samples is None
 
 
 @given(st.text())
@@ -106,6 +143,33 @@ def test_a_recipe_can_be_a_file(tmp_path):
     assert run(recipe, tmp_path / "out").name == "blue"
     with pytest.raises(UsageError, match="no such file"):
         find_recipe(str(tmp_path / "other.py"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nowhere_at_all", r"cannot be loaded: ModuleNotFoundError: .* \(line 1\)"),
+        ("\n1 +", "cannot be loaded: SyntaxError: .*line 2"),
+        ("raise SystemExit(3)", "cannot be loaded: SystemExit: 3"),
+        ("x = 1", "expected one subclass of Recipe, found 0"),
+        ("from torchbrdf.recipe import Recipe\nclass R(Recipe): pass", "expected a name, such as name = 'mine', in R"),
+    ],
+)
+def test_a_file_that_holds_no_recipe_is_refused_in_a_line(tmp_path, text, said):
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(UsageError, match=said) as caught:
+        find_recipe(str(tmp_path / "mine.py"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["7", "[]", "NaN", "{", "[" * 100_000, '{"recipe": "toy", "settings": 3}', "\xff"])
+def test_a_recipe_json_that_is_none_is_refused_in_a_line(tmp_path, text):
+    (tmp_path / "recipe.json").write_text(text, encoding="latin-1")
+    with pytest.raises(
+        (DataError, UsageError), match=r"recipe.json: expected the JSON object|other settings"
+    ) as caught:
+        run(Toy(), tmp_path)
+    assert str(caught.value).startswith(str(tmp_path)) and "\n" not in str(caught.value)
 
 
 def test_help_lists_every_setting():

@@ -1,6 +1,5 @@
 """The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
-import argparse
 import os
 import sys
 import warnings
@@ -8,7 +7,7 @@ from collections.abc import Sequence
 
 from torchbrdf import __version__
 from torchbrdf.cli import fit, info, render, run, study, view
-from torchbrdf.cli.common import described
+from torchbrdf.cli.common import Parser, described
 from torchbrdf.errors import TorchbrdfError, UsageError
 
 DESCRIPTION = """\
@@ -44,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """The parser of the whole command line."""
-    parser = described(argparse.ArgumentParser(prog="torchbrdf"), DESCRIPTION)
+    parser = described(Parser(prog="torchbrdf"), DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"torchbrdf {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in COMMANDS:

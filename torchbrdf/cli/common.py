@@ -2,10 +2,11 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from torchbrdf.errors import DataError
+from torchbrdf import bounds
+from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, shown
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
@@ -14,6 +15,65 @@ if TYPE_CHECKING:
 Options = argparse.Namespace
 Commands = Any
 """What argparse adds commands to; its type has no public name."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, and whose words may stand behind options, too.
+
+    `words` is the argument, of nargs "*" or "+", that takes words behind options; argparse itself takes only those that
+    stand together.
+    """
+
+    words: str = ""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As argparse, but what is left over is an error here, of the command that it was given to."""
+        found, rest = super().parse_known_args(args, namespace)
+        wrong = [word for word in rest if not self.words or (word.startswith("-") and word != "-")]
+        if wrong:
+            self.error(f"unknown option or word {shown(wrong[0])}")
+        if rest:
+            setattr(found, self.words, [*getattr(found, self.words), *rest])
+        return found, []
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong in one line, and exit with 2."""
+        said = one_line(f"{self.prog}: {message.removeprefix('argument ')}", LONGEST_MESSAGE - len(self.prog) - 14)
+        self.exit(2, f"{said}; see {self.prog} --help\n")
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """The type of an option that is a whole number from `low` to `high`.
+
+    Example:
+        >>> whole(1, 8)("3")
+        3
+    """
+
+    def convert(text: str) -> int:
+        try:
+            return bounds.whole(text, low, high)
+        except UsageError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return convert
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """The type of an option that is a finite number from `low` to `high`.
+
+    Example:
+        >>> number(0, 1)("0.5")
+        0.5
+    """
+
+    def convert(text: str) -> float:
+        try:
+            return bounds.number(text, low, high)
+        except UsageError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return convert
 
 
 def progress_bar(label: str) -> "Progress":
@@ -53,8 +113,8 @@ def short(value: object) -> str:
     return str(value)
 
 
-def described(parser: argparse.ArgumentParser, description: str) -> argparse.ArgumentParser:
-    """The parser with a description whose lines stay as they are."""
-    parser.description = description
+def described(parser: Parser, description: str, words: str = "") -> Parser:
+    """The parser with a description whose lines stay as they are; `words` as `Parser` has it."""
+    parser.description, parser.words = description, words
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     return parser

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, short
+from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, short, whole
 from torchbrdf.registry import unknown
 
 if TYPE_CHECKING:
@@ -26,10 +26,12 @@ and it goes on from there.
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    parser = described(commands.add_parser("fit", help="fit a model to measured BRDFs"), DESCRIPTION)
+    parser = described(commands.add_parser("fit", help="fit a model to measured BRDFs"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="+", help="measured BRDFs, or folders of them")
     parser.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
-    parser.add_argument("--lobes", type=int, default=2, help="specular lobes beside the diffuse one (default 2)")
+    parser.add_argument(
+        "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one (default 2)"
+    )
     parser.add_argument(
         "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"
     )

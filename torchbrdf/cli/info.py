@@ -18,7 +18,7 @@ Say what measured BRDF files hold: format, size, invalid entries, whether a file
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    parser = described(commands.add_parser("info", help="say what a file holds"), DESCRIPTION)
+    parser = described(commands.add_parser("info", help="say what a file holds"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="*", help="measured BRDFs")
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     parser.set_defaults(command=command)

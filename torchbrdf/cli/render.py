@@ -16,7 +16,7 @@ side, with maps of where each fit differs from its material.
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    parser = described(commands.add_parser("render", help="draw measured BRDFs or fits"), DESCRIPTION)
+    parser = described(commands.add_parser("render", help="draw measured BRDFs or fits"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
     parser.add_argument(
         "--environment", default="grove", help="grove (default), studio, none, or .exr or .hdr: lat-long or angular map"

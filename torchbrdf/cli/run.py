@@ -19,7 +19,7 @@ Run it again with the same settings and folder, and it takes up what is finished
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    parser = described(commands.add_parser("run", help="run a recipe, such as fores2012"), DESCRIPTION)
+    parser = described(commands.add_parser("run", help="run a recipe, such as fores2012"), DESCRIPTION, "settings")
     parser.add_argument("recipe", help="a recipe's name, or a Python file that holds one; `list` shows them")
     parser.add_argument(
         "settings", nargs="*", metavar="key=value", help="settings; `torchbrdf run NAME help=` shows them"

@@ -15,7 +15,9 @@ material and its fit, see their difference. The page needs no network, and nothi
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    parser = described(commands.add_parser("view", help="write a page to compare measured BRDFs and fits"), DESCRIPTION)
+    parser = described(
+        commands.add_parser("view", help="write a page to compare measured BRDFs and fits"), DESCRIPTION, "files"
+    )
     parser.add_argument("files", nargs="+", help="measured BRDFs, fits.json, or folders of them")
     parser.add_argument(
         "--environment", nargs="+", default=["grove"], help="grove (default), studio, or .exr or .hdr light probes"

@@ -7,17 +7,22 @@ from typing import Any
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.fitting import STRATEGIES
+from torchbrdf.fitting.api import DIFFUSE_MODES
 from torchbrdf.lobes import LOBES
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.measured import Measured, load_all, standins
-from torchbrdf.pairs import check_max_theta
 from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
 from torchbrdf.recipe import Recipe, RunFolder
-from torchbrdf.registry import Registry
+from torchbrdf.registry import Registry, unknown
 
 STANDINS = "stand-ins"
 # Pairs that the solver sees at most in a quick run.
 QUICK_SAMPLES = 4000
+# Bounds of settings, which the options of `torchbrdf fit` have, too.
+LOBE_COUNTS = {"low": 1, "high": 8}
+ANGLES = {"low": 1.0, "high": 90.0}
+FIT_SAMPLES = {"low": 1, "high": 10_000_000}
+PICTURE_SIDES = {"low": 16, "high": 4096}
 
 
 @dataclass(frozen=True)
@@ -27,13 +32,18 @@ class FitGridRecipe(Recipe):
     materials: str = field(default=STANDINS, metadata={"help": "a file or a folder of measured BRDFs; or stand-ins"})
     models: tuple[str, ...] = ("ward", "cook_torrance", "ashikhmin_shirley")
     losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root")
-    lobes: int = field(default=2, metadata={"help": "specular lobes"})
+    lobes: int = field(default=2, metadata={"help": "specular lobes", **LOBE_COUNTS})
     strategy: str = field(default="global", metadata={"help": "global finds the best fit; staged is the paper's"})
     diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit: every loss chooses its own"})
-    max_theta: float = field(default=80.0, metadata={"help": "only pairs with both directions below this angle"})
-    samples: int | None = field(default=20_000, metadata={"help": "pairs that the solver sees; none: all"})
+    max_theta: float = field(
+        default=80.0, metadata={"help": "only pairs with both directions below this angle", **ANGLES}
+    )
+    samples: int | None = field(
+        default=20_000, metadata={"help": "pairs that the solver sees, or all", **FIT_SAMPLES, "none": ("all", "0")}
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.expect_names("models", "losses")
         registries: list[tuple[Registry[Any], tuple[str, ...]]] = [
             (LOBES, self.models),
@@ -43,15 +53,18 @@ class FitGridRecipe(Recipe):
         for registry, names in registries:
             for name in names:
                 registry[name]  # an unknown one is said before a folder is written
-        if self.lobes < 1:
-            raise UsageError(f"{self.name}: lobes: expected at least 1, found {self.lobes}")
-        check_max_theta(self.max_theta)
+        if self.diffuse not in DIFFUSE_MODES:
+            raise unknown(f"{self.name}: diffuse", self.diffuse, DIFFUSE_MODES)
 
     def expect_names(self, *settings: str) -> None:
-        """A UsageError if one of these settings is empty."""
+        """A UsageError if one of these settings is empty, or has a name twice."""
         for key in settings:
-            if not getattr(self, key):
+            names = getattr(self, key)
+            if not names:
                 raise UsageError(f"{self.name}: {key}: expected at least one name, found none")
+            twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+            if twice is not None:
+                raise UsageError(f"{self.name}: {key}: expected each name once, found {twice!r} twice")
 
     def make_grid(
         self,
@@ -134,8 +147,12 @@ class HumanAnswersRecipe(Recipe):
     )
     triplets: str = field(default="lagunas2019_triplets_train.json", metadata={"help": "a file in `human`"})
     opinions: str = field(default="lavoue2021_distances_train.csv", metadata={"help": "a file in `human`"})
-    samples: int = field(default=6000, metadata={"help": "pairs, uniform in theta_i, theta_o and phi"})
-    replicates: int = field(default=1000, metadata={"help": "bootstrap replicates over materials"})
+    samples: int = field(
+        default=6000, metadata={"help": "pairs, uniform in theta_i, theta_o and phi", "low": 2, "high": 200_000}
+    )
+    replicates: int = field(
+        default=1000, metadata={"help": "bootstrap replicates over materials", "low": 2, "high": 100_000}
+    )
 
     def read_benchmark_data(self) -> BenchmarkData:
         """The materials, approximations and answers that the settings name."""

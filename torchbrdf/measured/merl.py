@@ -5,10 +5,12 @@ doi:10.1145/882262.882343; the scales are those of the reading code that comes w
 """
 
 import math
+import os
 import struct
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from torchbrdf.measured.catalogue import merl_name
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.pairs import Pairs
+from torchbrdf.reading import reading
 
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)
@@ -33,15 +36,21 @@ LARGEST_DIRECT_LOOKUP = 1 << 15
 """Up to so many pairs, their neighbours are read from the file; for more, the whole table is."""
 TABLES = 12
 """Whole tables kept in memory, 23 MB each in float32."""
+LARGEST_ENTRY = 1e13
+"""Larger entries, some 1e10 / sr, are no reflectance, and would overflow in sums of squares in float32."""
+SLAB = BINS[1] * BINS[2]
+"""Entries of one theta_h, of a channel."""
 
 
 @FORMATS.register("merl")
 class Merl(BrdfFormat):
-    """The format of MERL's `.binary` tables: memory-mapped, 35 MB each; only what is asked for is read.
+    """The format of MERL's `.binary` tables, 35 MB each, read when values are asked for, one at a time.
+
+    They are not memory-mapped: a file that is cut short while it is mapped ends the process.
 
     Bin i covers [i, i+1), and its value is that of its centre: theta_h = ((i+0.5)/90)^2 pi/2, theta_d and phi_d at
     i+0.5 degrees. `pairs` are the centres of all bins with both directions above the horizon, shared by all
-    materials. An entry is invalid if a channel of it is negative or not finite.
+    materials. An entry is invalid if a channel of it is negative, not finite or more than any reflectance is.
     """
 
     format = "merl"
@@ -78,43 +87,43 @@ class Merl(BrdfFormat):
 
     def _check(self, material: int) -> None:
         path = self.paths[material]
-        with path.open("rb") as file:
+        with reading(path, "a MERL table"), path.open("rb") as file:
             head = file.read(HEADER.size)
-        size = path.stat().st_size
+            size = os.fstat(file.fileno()).st_size
+            first = [_entries(file, k * COUNT, SLAB) for k in range(3)] if size == BYTES else []
         if len(head) < HEADER.size:
             raise DataError(f"{path}: expected a MERL table of {BYTES} bytes, found {size}")
-        dims = HEADER.unpack(head)
-        if dims != BINS:
-            hint = ""
-            if sorted(dims) == sorted(BINS):
-                hint = "; they are swapped"
-            elif dims == (90, 90, 360):
-                hint = "; MERL tables have phi_d up to 180 degrees only"
-            raise DataError(
-                f"{path}: header: expected {_by(BINS)} bins (theta_h, theta_d, phi_d), found {_by(dims)}{hint}"
-            )
+        _check_header(path, head)
         if size != BYTES:
             what = "truncated" if size < BYTES else "too long"
             raise DataError(f"{path}: {what}: expected {BYTES} bytes, found {size}")
-        entries = self._raw(material).reshape(3, BINS[0], -1)
-        above = _above().reshape(BINS[0], -1)
-        if not any((_valid(entries[:, i]) & above[i]).any() for i in range(BINS[0])):
+        if _are_swapped(np.stack(first)):
+            raise DataError(f"{path}: expected little-endian entries, found big-endian ones; swap the bytes of each")
+        # The first theta_h, as a rule: the others are read only where it is empty.
+        if not (_valid(first) & _above()[:SLAB]).any() and not (_valid(self._raw(material)) & _above()).any():
             raise DataError(f"{path}: no valid entry: all {COUNT} are negative, not finite or below the horizon")
 
     def raw(self, material: int) -> np.ndarray:
-        """The entries as the file has them, not scaled, read-only and memory-mapped, `(3, 90, 90, 180)`."""
+        """The entries as the file has them, not scaled, `(3, 90, 90, 180)`."""
         return self._raw(material).reshape(3, *BINS)
 
     def _raw(self, material: int) -> np.ndarray:
         path = self.paths[material]
-        try:
-            return np.asarray(np.memmap(path, "<f8", "r", HEADER.size, (3, COUNT)))
-        except (OSError, ValueError) as error:
-            raise DataError(f"{path}: cannot be mapped any more: {error}") from None
+        with reading(path, "a MERL table"), path.open("rb") as file:
+            return _entries(file, 0, 3 * COUNT).reshape(3, COUNT)
 
-    def _rows(self, material: int, bins: np.ndarray | slice, dtype: type = np.float64) -> np.ndarray:
-        """Values and validity of some bins, `(n, 4)`, as `grid` describes them."""
-        part = [channel[bins] for channel in self._raw(material)]
+    def _some(self, material: int, bins: np.ndarray) -> list[np.ndarray]:
+        """Entries of some bins, one array a channel: what is read goes from the first theta_h of them to the last."""
+        if not len(bins):
+            return [np.empty(0)] * 3
+        start, stop = int(bins.min()) // SLAB * SLAB, (int(bins.max()) // SLAB + 1) * SLAB
+        path = self.paths[material]
+        with reading(path, "a MERL table"), path.open("rb") as file:
+            return [_entries(file, k * COUNT + start, stop - start)[bins - start] for k in range(3)]
+
+    def _rows(self, material: int, bins: np.ndarray | slice = slice(None), *, dtype: type = np.float64) -> np.ndarray:
+        """Values and validity of some bins, or of all, `(n, 4)`, as `grid` describes them."""
+        part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
         valid = _valid(part) & _above()[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
         for channel, scale in enumerate(CHANNEL_SCALES):
@@ -166,7 +175,7 @@ class Merl(BrdfFormat):
         return (rows.view(*index.shape, 4) * weight[..., None]).sum(1)
 
     def _read_table(self, material: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-        rows = self._rows(material, slice(None), np.float64 if dtype == torch.float64 else np.float32)
+        rows = self._rows(material, dtype=np.float64 if dtype == torch.float64 else np.float32)
         return torch.from_numpy(rows).to(device, dtype)
 
     def _find_nearest_valid(self, material: int) -> np.ndarray:
@@ -266,8 +275,49 @@ def _position(pairs: Pairs) -> list[Tensor]:
 
 
 def _valid(channels: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-    """Where all channels are finite and not negative."""
-    return np.logical_and.reduce([(entries >= 0) & (entries < np.inf) for entries in channels])
+    """Where all channels are finite, not negative and not beyond all measure."""
+    return np.logical_and.reduce([(entries >= 0) & (entries <= LARGEST_ENTRY) for entries in channels])
+
+
+def _entries(file: BinaryIO, start: int, count: int) -> np.ndarray:
+    """Entries from one on; a DataError if the file ends before: it was cut short since it was opened."""
+    file.seek(HEADER.size + 8 * start)
+    found = np.fromfile(file, "<f8", count)
+    if len(found) < count:
+        size = os.fstat(file.fileno()).st_size
+        raise DataError(f"{file.name}: truncated: expected {BYTES} bytes, found {size}")
+    return found
+
+
+def _check_header(path: Path, head: bytes) -> None:
+    """A DataError that says what a table of other dimensions seems to be."""
+    dims = HEADER.unpack(head)
+    if dims == BINS:
+        return
+    if struct.unpack(">3i", head) == BINS:
+        raise DataError(
+            f"{path}: header: expected little-endian numbers, found big-endian ones; swap the bytes of the header's "
+            "int32 and of every float64"
+        )
+    hint = ""
+    if sorted(dims) == sorted(BINS):
+        hint = "; they are in another order"
+    elif dims == (90, 90, 360):
+        hint = "; its phi_d goes over 360 degrees, of which MERL tables, by reciprocity, keep the first 180"
+    raise DataError(f"{path}: header: expected {_by(BINS)} bins (theta_h, theta_d, phi_d), found {_by(dims)}{hint}")
+
+
+def _are_swapped(entries: np.ndarray) -> bool:
+    """Whether entries mean little, and much if their bytes are swapped."""
+    share, other = (np.mean(_means_something(one)) for one in (entries, entries.byteswap()))
+    return bool(share < 0.5 < other)
+
+
+def _means_something(entries: np.ndarray) -> np.ndarray:
+    """Where numbers are 0, or of a size that people use."""
+    with np.errstate(invalid="ignore"):
+        size = np.abs(entries)
+        return (size == 0) | ((size > 1 / LARGEST_ENTRY) & (size < LARGEST_ENTRY))
 
 
 def _by(dims: Sequence[int]) -> str:
