@@ -353,7 +353,7 @@ def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
         Mesh.load(tmp_path / "mesh.ply")
     (tmp_path / "mesh.xyzzy").write_text("?")
-    with pytest.raises(DataError, match="ends in '.xyzzy'"):
+    with pytest.raises(DataError, match=r"ends in '\.xyzzy'"):
         Mesh.load(tmp_path / "mesh.xyzzy")
 
 

@@ -14,6 +14,7 @@ from torchbrdf.files import write_json
 from torchbrdf.lobes.model import from_parameters
 from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
 from torchbrdf.lobes.sum import Sum
+from torchbrdf.names import check_name
 
 NEEDED = ("material", "model", "lobes", "parameters")
 # What a record of a fit has besides, in the order in which files have it; a model that nobody fitted lacks most of it.
@@ -125,6 +126,7 @@ class FitRecord:
             for key, kind in known.items()
             if key in values
         }
+        check_name(own["material"], f"{where}: material")
         return cls(**own, extra={key: value for key, value in values.items() if key not in known})
 
 

@@ -10,6 +10,8 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
+from torchbrdf.names import clean_name
+from torchbrdf.reading import reading
 
 log = logging.getLogger("torchbrdf")
 
@@ -40,7 +42,7 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
         >>> measured.batch([0], samples=torch.arange(5)).values.shape
         torch.Size([1, 5, 3])
     """
-    files = _files(paths)
+    files = find_files(paths)
     groups = _by_format(files)
     if len(groups) > 1:
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
@@ -75,7 +77,7 @@ def load_all(
         >>> [measured.source.format for measured in load_all([standins()])]
         ['fits']
     """
-    groups = _by_format(_files(paths, bad), bad)
+    groups = _by_format(find_files(paths, bad), bad)
     if bad is not None:
         groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad))}
     return [_open(name, members, dtype, device) for name, members in groups.items()]
@@ -112,7 +114,7 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
 
 def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
     source = FORMATS[name].open(paths)
-    source.names = _unique(source.names, source.paths)
+    source.names = _unique([clean_name(name) for name in source.names], source.paths)
     return Measured(source, dtype=dtype, device=device)
 
 
@@ -171,20 +173,24 @@ def _expect_format(path: Path) -> str:
     return name
 
 
-def _files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
-    """The files that paths name, each once."""
+def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
+    """The files that paths name, each once; folders give those in them that are of a known format."""
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     files: dict[Path, Path] = {}
-    asked = [Path(path) for path in paths]
+    asked = list(paths)
     if not asked:
         raise DataError(f"no file was given; expected measured BRDFs ({_known()})")
-    for path in asked:
+    for given in asked:
         try:
-            for file in _folder(path) if path.is_dir() else [path]:
-                if not file.is_file():
-                    raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
-                files.setdefault(file.resolve(), file)
+            if given == "":  # which a Path takes for this folder
+                raise DataError(f"expected a path of measured BRDFs ({_known()}), found an empty one")
+            path = Path(given)
+            with reading(path, "measured BRDFs"):  # a name may be too long for the system
+                for file in _folder(path) if path.is_dir() else [path]:
+                    if not file.is_file():
+                        raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
+                    files.setdefault(file.resolve(), file)
         except DataError as error:
             if bad is None:
                 raise

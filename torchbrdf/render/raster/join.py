@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from torchbrdf.errors import DataError
-from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices
+from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices, unit
 
 # Triangles of one mesh. Beyond that a picture of a few hundred pixels shows nothing more, and nobody waits for it.
 MOST_FACES = 5_000_000
@@ -41,7 +41,7 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
     corners = scaled[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = unit(across)
-    with_area = across.any(1)
+    with_area: np.ndarray = (across != 0).any(1)
     if not with_area.any():
         raise DataError(f"{path}: expected triangles, found that all {len(faces)} faces have no area")
     if not with_area.all():
@@ -152,10 +152,3 @@ def _means(count: int, faces: np.ndarray, flat: np.ndarray, angles: np.ndarray) 
     summed = [np.bincount(corners, weights * np.tile(flat[:, k], 3), count) for k in range(3)]
     mean = np.stack(summed, 1) / np.maximum(total, np.finfo(float).tiny)[:, None]
     return unit(np.where(np.linalg.norm(mean, axis=1, keepdims=True) > _CANCELLED, mean, 0))
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors `(n, 3)` with length 1; 0 for one that has no direction: 0, or not finite."""
-    finite = np.where(np.isfinite(vectors).all(1, keepdims=True), vectors, 0.0)
-    shrunk = finite / np.maximum(abs(finite).max(1, keepdims=True), np.finfo(float).tiny)  # squares would not fit
-    return shrunk / np.maximum(np.linalg.norm(shrunk, axis=1, keepdims=True), np.finfo(float).tiny)

@@ -1,6 +1,7 @@
-"""Object File Format (OFF): a head of counts, vertices, polygons. COFF has colours, NOFF normals beside the vertices."""
+"""Object File Format (OFF): a head of counts, vertices, polygons. COFF adds colours, NOFF normals."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def read(path: Path, data: bytes, say: Say) -> list[Part]:
     return [Part(table[:, :3], faces, table[:, 3:] if width == 6 else None)]
 
 
-def _numbers(path: Path, words: list[bytes], kind: type) -> list:  # type: ignore[type-arg]
+def _numbers(path: Path, words: list[bytes], kind: type[Any]) -> list[Any]:
     try:
         found = [kind(word) for word in words]
         return [one if kind is float or abs(one) < 2**62 else -1 for one in found]

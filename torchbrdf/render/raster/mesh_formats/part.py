@@ -49,7 +49,7 @@ def triangulate(path: Path, vertices: np.ndarray, polygons: Polygons, say: Say) 
     made, order = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
     for length in np.unique(lengths[lengths >= 3]):
         own = np.flatnonzero(lengths == length)
-        chosen = polygons[own] if isinstance(polygons, np.ndarray) else [polygons[k] for k in own]
+        chosen = polygons[own] if isinstance(polygons, np.ndarray) else [polygons[int(k)] for k in own]
         rows = np.array(chosen).astype(np.int64)
         check_indices(path, rows, len(vertices))
         if length > 3:
@@ -79,3 +79,10 @@ def _best_fan(vertices: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, int]:
         if not len(pending):
             break
     return rows, len(pending)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors `(n, 3)` with length 1; 0 for one that has no direction: 0, or not finite."""
+    finite = np.where(np.isfinite(vectors).all(1, keepdims=True), vectors, 0.0)
+    shrunk = finite / np.maximum(abs(finite).max(1, keepdims=True), np.finfo(float).tiny)  # squares would not fit
+    return shrunk / np.maximum(np.linalg.norm(shrunk, axis=1, keepdims=True), np.finfo(float).tiny)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from torchbrdf.errors import DataError, shown
 from torchbrdf.render.raster.mesh_formats.part import Part, Say, triangulate
 
 _TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8",
     "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
@@ -24,8 +26,8 @@ class _Property:
     """A property of an element: its type, and that of the count in front if it is a list."""
 
     name: str
-    type: np.dtype  # type: ignore[type-arg]
-    count: np.dtype | None = None  # type: ignore[type-arg]
+    type: np.dtype[Any]
+    count: np.dtype[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def read(path: Path, data: bytes, say: Say) -> list[Part]:
         return []
     vertices = _stack(path, columns, ("x", "y", "z"))
     normals = _stack(path, columns, ("nx", "ny", "nz")) if "nx" in columns else None
-    return [Part(vertices, triangulate(path, vertices, polygons, say), normals)]  # type: ignore[arg-type]
+    return [Part(vertices, triangulate(path, vertices, polygons, say), normals)]
 
 
 def _stack(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
@@ -118,7 +120,7 @@ class _Binary:
         table = self._table(np.dtype(list(zip(names, (one.type for one in element.properties), strict=True))), element)
         return {one.name: table[name] for name, one in zip(names, element.properties, strict=True)}
 
-    def _table(self, dtype: "np.dtype[np.void]", element: _Element) -> np.ndarray:
+    def _table(self, dtype: np.dtype[Any], element: _Element) -> np.ndarray:
         size = element.count * dtype.itemsize
         if len(self.data) - self.at < size:
             raise DataError(f"{self.path}: expected {element.count} of element {element.name}, found the file's end")
@@ -152,8 +154,8 @@ class _Binary:
         if not all((table[name] == count).all() for name, count in counts.items()):
             self.at = start
             return None
-        k = next((k for k, one in enumerate(element.properties) if one is element.corners), None)
-        return [] if k is None else table[str(k)]
+        own = [str(k) for k, one in enumerate(element.properties) if one is element.corners]
+        return table[own[0]] if own else []
 
     def _each(self, element: _Element) -> list[np.ndarray]:
         """Row by row."""
@@ -172,7 +174,7 @@ class _Binary:
                 self.at = end
         return found
 
-    def _count(self, dtype: "np.dtype[np.generic]", at: int) -> int:
+    def _count(self, dtype: np.dtype[Any], at: int) -> int:
         if at + dtype.itemsize > len(self.data):
             raise DataError(f"{self.path}: expected the length of a list, found the file's end")
         count = int(np.frombuffer(self.data, dtype, 1, at)[0])
@@ -221,9 +223,9 @@ class _Text:
                 raise DataError(f"{self.path}: expected {element.count} of element {element.name}, found {k}")
             yield line
 
-    def _number(self, kind: type, word: bytes) -> int:
+    def _number(self, kind: type[Any], word: bytes) -> Any:
         try:
-            return kind(word)  # type: ignore[no-any-return]
+            return kind(word)
         except ValueError:
             found = shown(word.decode("latin-1"))
             raise DataError(f"{self.path}: expected numbers below the PLY header, found {found}") from None

@@ -4,6 +4,7 @@ import io
 import json
 import struct
 import warnings
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.reading import check_unpacked, read_bytes
-from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices
+from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices, unit
 
 # What glTF may ask of a reader that changes no triangle; compressed geometry would be read as zeros.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
@@ -57,24 +58,28 @@ def _placed(path: Path, vertices: Any, faces: Any, normals: Any, transform: Any)
     cofactors = np.stack([np.cross(linear[k - 2], linear[k - 1]) for k in range(3)])
     mirrored = np.linalg.det(linear) < 0
     if normals is not None:
-        normals = np.array(normals, np.float64) @ (-cofactors if mirrored else cofactors).T
+        normals = np.array(normals, np.float64)
+        turned = unit(normals @ (-cofactors if mirrored else cofactors).T)
+        normals = turned * np.linalg.norm(normals, axis=1, keepdims=True)
     return Part(vertices @ linear.T + transform[:3, 3], faces[:, ::-1] if mirrored else faces, normals)
 
 
-class _Beside:
+class _Beside(Mapping[str, bytes]):
     """What a glTF file refers to: regular files in its folder, and nothing else."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.file_name = path.name
 
-    def get(self, name: str) -> bytes:
-        """The bytes of a file beside the mesh."""
+    def __iter__(self) -> Iterator[str]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def __getitem__(self, name: str) -> bytes:
         if Path(name).name != name:
             raise DataError(f"{self.path}: expected buffers in its folder, found {shown(name)}")
         return read_bytes(self.path.with_name(name), "a buffer of a mesh")
-
-    __getitem__ = get
 
 
 def _check_gltf(path: Path, data: bytes) -> None:
