@@ -10,10 +10,13 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
-from torchbrdf.names import clean_name
+from torchbrdf.names import LONGEST_NAME, clean_name
 from torchbrdf.reading import reading
 
 log = logging.getLogger("torchbrdf")
+
+# Bytes of a name that are left for the number behind it.
+ROOM = 12
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -114,28 +117,31 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
 
 def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
     source = FORMATS[name].open(paths)
-    source.names = _unique([clean_name(name) for name in source.names], source.paths)
+    source.names = _unique(source.names, source.paths)
     return Measured(source, dtype=dtype, device=device)
 
 
 def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
-    """Names with the folder in front where they are not unique, and a number behind where that does not help."""
+    """Names that are names, with the folder in front where they are not unique, and a number behind if need be."""
     count = Counter(names)
-    names = [
+    own = [
         name if count[name] == 1 else f"{path.resolve().parent.name}-{name}"
         for name, path in zip(names, paths, strict=True)
     ]
-    return number_repeats(names, "-")
+    return number_repeats([clean_name(name, LONGEST_NAME - ROOM) for name in own], "-")
 
 
 def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     """The names, those that came before with a mark and a number behind."""
-    seen: Counter[str] = Counter()
-    made = []
+    last: Counter[str] = Counter()
+    made: dict[str, None] = {}
     for name in names:
-        seen[name] += 1
-        made.append(name if seen[name] == 1 else f"{name}{mark}{seen[name]}")
-    return made
+        own = name
+        while own in made:
+            last[name] += 1
+            own = f"{name}{mark}{last[name] + 1}"
+        made[own] = None
+    return list(made)
 
 
 def _good(name: str, paths: Sequence[Path], bad: list[DataError]) -> list[Path]:

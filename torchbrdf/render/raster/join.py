@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from torchbrdf.errors import DataError
-from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices, unit
+from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_count, check_indices, unit
 
-# Triangles of one mesh. Beyond that a picture of a few hundred pixels shows nothing more, and nobody waits for it.
-MOST_FACES = 5_000_000
 # How large a mesh may be, and how far from the origin in units of that, so that float32 tells its points apart.
 SMALLEST, LARGEST, FARTHEST = 1e-9, 1e9, 1e4
 # A normal in a file that is this much longer or shorter than 1 is said to be none of unit length.
@@ -86,8 +84,7 @@ def _concatenated(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
     count = sum(len(part.faces) for part in parts)
     if not count:
         raise DataError(f"{path}: expected a mesh of triangles, found no faces")
-    if count > MOST_FACES:
-        raise DataError(f"{path}: expected at most {MOST_FACES} triangles, found {count}; simplify the mesh")
+    check_count(path, count)
     faces, normals, first, odd, without, named = [], [], 0, 0, 0, 0
     for part in parts:
         check_indices(path, part.faces, len(part.vertices))
@@ -102,12 +99,13 @@ def _concatenated(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
         own = unit(part.normals)
         own[~own.any(1)] = np.nan
         normals.append(own)
-        without += int(np.isnan(own[used, 0]).sum())
-        odd += int((abs(length[used] - 1) > _UNIT).sum() - (~(length[used] > 0)).sum())
+        there = ~np.isnan(own[:, 0])
+        without += int((~there)[used].sum())
+        odd += int((there & ~(abs(length - 1) <= _UNIT))[used].sum())
         named += len(used)
     if without:
         say(f"{without} of {named} vertices have no normal in the file; each got the mean of the triangles around it")
-    if odd > 0:
+    if odd:
         say(f"{odd} of {named} normals in the file were not of length 1; normalised")
     return np.concatenate([part.vertices for part in parts]), np.concatenate(faces), np.concatenate(normals)
 

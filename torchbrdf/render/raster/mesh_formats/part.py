@@ -11,6 +11,8 @@ from torchbrdf.errors import DataError
 Say = Callable[[str], None]
 """Takes one line on what was left out or repaired."""
 
+# Triangles of one mesh. Beyond that a picture of a few hundred pixels shows nothing more, and nobody waits for it.
+MOST_FACES = 5_000_000
 # Corners of a polygon that are tried as the one that all its triangles share.
 _TRIES = 64
 
@@ -26,6 +28,12 @@ class Part:
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
+
+
+def check_count(path: Path, count: int) -> None:
+    """A DataError if there are too many triangles."""
+    if count > MOST_FACES:
+        raise DataError(f"{path}: expected at most {MOST_FACES} triangles, found {count} or more; simplify the mesh")
 
 
 def check_indices(path: Path, indices: np.ndarray, count: int, what: str = "vertex") -> None:

@@ -12,12 +12,14 @@ import numpy as np
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.reading import check_unpacked, read_bytes
-from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices, unit
+from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_count, check_indices, unit
 
 # What glTF may ask of a reader that changes no triangle; compressed geometry would be read as zeros.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
 _BYTES_OF = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _ITEMS_OF = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# Of a scene; trimesh takes some seconds for so many.
+_MOST_NODES = 10_000
 _GLTF = (".glb", ".gltf")
 
 
@@ -33,11 +35,13 @@ def read(path: Path, data: bytes, say: Say) -> list[Part]:
         scene: Any = trimesh.load_scene(
             io.BytesIO(data), file_type=kind[1:], resolver=_Beside(path), process=False, skip_materials=True
         )
-    parts, others = [], 0
+    parts, others, count = [], 0, 0
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
         mesh = scene.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            count += len(mesh.faces)
+            check_count(path, count)  # of each node that shows it: a small file may say the same mesh often
             given = "vertex_normals" in mesh._cache
             parts.append(_placed(path, mesh.vertices, mesh.faces, mesh.vertex_normals if given else None, transform))
         else:
@@ -89,6 +93,9 @@ def _check_gltf(path: Path, data: bytes) -> None:
     unknown = [name for name in required if not str(name).startswith(_HARMLESS)]
     if unknown:
         raise DataError(f"{path}: expected glTF without {shown(unknown)}; export it without compression")
+    nodes = len(head.get("nodes", []))
+    if nodes > _MOST_NODES:
+        raise DataError(f"{path}: expected at most {_MOST_NODES} nodes, found {nodes}")
     size = 0
     for one in head.get("accessors", []):
         count, width = one.get("count", 0), _BYTES_OF.get(one.get("componentType"), 8)
