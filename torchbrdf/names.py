@@ -34,11 +34,12 @@ def check_name(name: object, where: str) -> str:
     raise DataError(f"{where}: expected a name (one line, no path, at most {LONGEST_NAME} bytes), found {shown(name)}")
 
 
-def clean_name(text: str) -> str:
+def clean_name(text: str, longest: int = LONGEST_NAME) -> str:
     r"""The name that comes closest to a text, such as the stem of a file.
 
     Args:
         text: Anything, also what the system gives for a path that is no UTF-8.
+        longest: How many bytes the name may have, where something is to come behind it.
 
     Returns:
         A name that `check_name` accepts.
@@ -51,7 +52,7 @@ def clean_name(text: str) -> str:
     name = "".join(c if _is_seen(c) and c not in "/\\" else " " if c.isspace() else "_" for c in text).strip()
     if set(name) <= {"."}:
         name = "_"
-    while len(name.encode()) > LONGEST_NAME:
+    while len(name.encode()) > longest:
         name = name[:-1].rstrip()
     return name
 

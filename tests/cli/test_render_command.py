@@ -1,7 +1,10 @@
 """`torchbrdf render`: pictures that can be compared, each in a file of its own."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -72,14 +75,71 @@ def test_the_sheet_says_how_far_fits_are(paint, tmp_path, monkeypatch):
 def test_two_files_of_one_stem_keep_both_pictures(tmp_path, capsys):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        write_fits(tmp_path / name / "fits.json", [FitRecord("../paint", "ward", 1, DULL)])
+        write_fits(tmp_path / name / "fits.json", [FitRecord("paint?", "ward", 1, DULL)])
     files = [str(tmp_path / name / "fits.json") for name in ("one", "two")]
     out = tmp_path / "out"
     assert main(["render", *files, *SMALL, "--out", str(out)]) == 0
-    assert sorted(path.name for path in out.iterdir()) == [
-        "_paint-2.exr", "_paint-2.png", "_paint.exr", "_paint.png", "sheet.png", "tonemap.json",
-    ]  # fmt: skip
-    assert not list(tmp_path.glob("*.png"))
+    names = sorted(re.sub("-[0-9a-f]{8}", "", path.name) for path in out.iterdir())
+    assert names == ["paint_-2.exr", "paint_-2.png", "paint_.exr", "paint_.png", "sheet.png", "tonemap.json"]
+
+
+@pytest.mark.parametrize(
+    "name", ["../../escaped", "/tmp/escaped", "a\\b", "..", "", "a\nb", "\x1b]0;x\x07red", "a\0b", " a"]
+)
+def test_a_name_that_is_none_writes_nothing(name, tmp_path, capsys):
+    folder = tmp_path / "deep" / "down"
+    folder.mkdir(parents=True)
+    write_fits(folder / "fits.json", [FitRecord(name, "ward", 1, DULL)])
+    assert main(["render", str(folder / "fits.json"), *SMALL, "--out", str(folder / "out")]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "fit 0: material: expected a name" in said and len(said) <= 320
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["deep", "down", "fits.json", "out"]
+
+
+@pytest.mark.parametrize("name", ["gold $\\x{$ paint", "$a$", "-x", "=1+1", "_", "100 %", "中文", "x" * 190])
+@pytest.mark.filterwarnings("error")
+def test_odd_names_are_drawn_as_they_are(name, tmp_path, capsys):
+    name = name.replace("\\", "")
+    write_fits(tmp_path / "fits.json", [FitRecord(name, "ward", 1, DULL), fit(name, "rms", DULL)])
+    assert main(["render", str(tmp_path / "fits.json"), *SMALL, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert name in printed[0] and f"{name}: Ward" in printed[1].replace("... ", "")
+    assert all((tmp_path / line.split("  ")[0]).exists() for line in printed)
+
+
+def test_files_of_odd_names_are_read(merl_file, tmp_path):
+    """In a process of its own, whose terminal knows ASCII only."""
+    stems = [b"\xff", b"a\nb", b"a$\\x{$", b"\x1b[31m", b"-dash", b'"', b"x" * 248, b" "]
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    for stem in stems:
+        os.link(merl_file, os.fsencode(folder) + b"/" + stem + b".binary")
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONIOENCODING": "ascii", "OMP_NUM_THREADS": "1"}
+    draw = ["render", folder, "--size", "8", "--shape", "sphere", "--backend", "software", "--out", out]
+    for command in (["info", folder], draw):
+        program = [sys.executable, "-m", "torchbrdf", *command]
+        done = subprocess.run(program, capture_output=True, env=environment, timeout=200, check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.isascii() and b"\x1b" not in done.stdout and b"Traceback" not in done.stderr
+    assert len([*out.iterdir()]) == 2 * len(stems) + 2  # with sheet.png and tonemap.json
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--size", "30000"), ("--size", "0"), ("--size", "nan"), ("--rotate", "nan"), ("--rotate", "1e300"),
+     ("--elevation", "90"), ("--elevation", "inf")],
+)  # fmt: skip
+def test_options_have_bounds(option, value, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["render", "x", option, value])
+    said = capsys.readouterr().err
+    assert caught.value.code == 2 and said.count("\n") == 1 and option in said and "expected a" in said
+
+
+def test_more_pictures_than_memory_holds_are_refused(monkeypatch, paint, tmp_path, capsys):
+    monkeypatch.setattr("torchbrdf.report.sheet.MOST_PIXELS", 32 * 32 - 1)
+    assert main(["render", str(paint), *SMALL, "--out", str(tmp_path / "out")]) == 2
+    assert "expected at most 1023 pixels in all, found 1 pictures of 32 x 32" in capsys.readouterr().err
 
 
 def test_nothing_to_draw_writes_nothing(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import pytest
 
 from torchbrdf.experiment.items import distinct_stems, list_items
+from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
 from torchbrdf.measured.load import number_repeats
@@ -31,6 +32,7 @@ def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
 
 def test_labels_are_told_apart_by_numbers():
     assert number_repeats(["x", "y", "x", "x"], " #") == ["x", "y", "x #2", "x #3"]
+    assert number_repeats(["x", "x", "x-2", "x"], "-") == ["x", "x-2", "x-2-2", "x-3"]
 
 
 @pytest.mark.parametrize(
@@ -39,9 +41,47 @@ def test_labels_are_told_apart_by_numbers():
         (["x", "x", "x-2"], ["x", "x-2", "x-2-2"]),
         (["Nickel", "nickel"], ["Nickel", "nickel-2"]),  # one file where case does not count
         (["sheet"], ["sheet-2"]),
-        (["../up", "/root", "a/b", ".hidden", ""], ["_up", "_root", "a_b", "hidden", "_"]),
-        (["blau_grün+1", "<b>"], ["blau_grün+1", "_b_"]),
+        (["gr\u00fcn", "gru\u0308n"], ["gr\u00fcn", "gru\u0308n-2"]),  # and where accents are written otherwise
+        ([".hidden", "blau_grün+1", "gold $paint$"], ["hidden", "blau_grün+1", "gold $paint$"]),
     ],
 )
-def test_file_names_do_not_collide_and_stay_in_their_folder(names, expected):
+def test_file_names_do_not_collide(names, expected):
     assert distinct_stems(names, reserved=["sheet"]) == expected
+
+
+WICKED = [
+    "../up",
+    "/root/x",
+    "a/b",
+    "a_b",
+    "",
+    ".",
+    "..",
+    "con",
+    "a:b",
+    "x" * 300,
+    "\x1b[31m",
+    "a\nb",
+    "\udcff",
+    "\0",
+    "<b>",
+]
+
+
+def test_whatever_a_name_is_its_file_stays_in_the_folder(tmp_path):
+    stems = distinct_stems(WICKED)
+    assert len({stem.casefold() for stem in stems}) == len(WICKED)
+    for stem in stems:
+        path = tmp_path / f"{stem}.png"
+        assert path.parent == tmp_path and path.name == f"{stem}.png"
+        path.touch()  # a name that the system takes
+        assert stem.isprintable() and not stem.startswith(".")
+    assert len([*tmp_path.iterdir()]) == len(WICKED)
+
+
+def test_labels_are_made_in_one_place():
+    assert [model_label(name) for name in ("abc", "ggx", "cook_torrance", "shifted_gamma")] == [
+        "ABC", "GGX", "Cook-Torrance", "shifted gamma",
+    ]  # fmt: skip
+    assert loss_label("solid_angle_cosine_rms") == "solid-angle cosine RMS"
+    assert loss_label("rendered_delta_e76") == "rendered ΔE 76"

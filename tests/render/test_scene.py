@@ -219,6 +219,7 @@ def test_scenes_that_cannot_be(grove: Environment) -> None:
         Scene(sphere(2), Camera(), grove, size=4, nodes=0)
     with pytest.raises(UsageError, match="at least one"):
         render([], Scene(sphere(2), Camera(), grove, size=4))
-    speck = Mesh(np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0], [9, 9, 9.0]]), np.array([[0, 1, 2]]), np.ones((4, 3)))
-    with pytest.raises(DataError, match="nothing to see"):
+    corners = np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0], [9, 9, 9.0]])
+    speck = Mesh(corners, np.array([[0, 1, 2], [3, 3, 3]]), np.ones((4, 3)), "speck.ply")
+    with pytest.raises(DataError, match=r"speck\.ply: nothing to see"):
         Scene(speck, Camera(), grove, size=4)

@@ -2,13 +2,15 @@
 
 import csv
 import json
+from itertools import combinations
 
 import pytest
 from helpers.simulated_plan import make_plan, wards
 
 from torchbrdf.report.observers import SIMULATED_MARK, write_scales
+from torchbrdf.report.scale_figures import ScalePoint, _bars
 from torchbrdf.report.style import new_figure
-from torchbrdf.study import MEASURED, simulate
+from torchbrdf.study import MEASURED, Answer, simulate
 
 
 def test_figures_say_what_they_are_made_of(tmp_path):
@@ -36,3 +38,27 @@ def test_a_folder_of_scales_holds_all_of_them(tmp_path):
         assert sum(own.values()) == pytest.approx(0, abs=1e-9)
         assert max(own, key=own.__getitem__) == MEASURED
     assert len(list(csv.DictReader((tmp_path / "observers.csv").open()))) == 8
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_in_answers_are_text_and_no_path_nor_formula(tmp_path):
+    """A dollar sign begins no formula, and an experiment's name is no path."""
+    names = [r"a$\x$", "_hidden", "=1+1", "中文"]
+    answers = [
+        Answer(f"o{k % 5}", "../../escaped", r"$\bad{$", first, second, first if k % 3 else second)
+        for k, (first, second) in enumerate([*combinations(names, 2)] * 10)
+    ]
+    write_scales(tmp_path / "deep" / "out", answers, None, method="likelihood", seed=0, source="answers.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["deep"]
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+    text = (tmp_path / "deep" / "out" / "scales.csv").read_text(encoding="utf-8")
+    assert "\n=1" not in text and ",=1" not in text
+
+
+def test_a_legend_leaves_no_label_out(tmp_path):
+    with new_figure(tmp_path / "x.png", 3, 2) as figure:
+        panel = figure.subplots()
+        for label in ("_hidden", "shown"):
+            _bars(panel, [0], [1], [ScalePoint(1, 0.5, 1.5)], "black", "y", label)
+        legend = panel.legend()
+    assert [text.get_text().strip() for text in legend.get_texts()] == ["_hidden", "shown"]

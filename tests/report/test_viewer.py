@@ -24,7 +24,7 @@ from torchbrdf.render import Camera, Environment, Scene, find_mesh, render
 from torchbrdf.report.viewer import first_pair
 
 SIZE, STEPS = 24, 2
-WICKED = "<script>document.title = 'taken'</script>"
+WICKED = "<script>document.title = 'taken'<!--"
 PAINT = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), CookTorrance(specular=0.5, roughness=0.2, f0=0.2))
 DULL = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4))
 
@@ -153,8 +153,10 @@ def test_one_bad_file_leaves_the_others(folder, tmp_path, capsys, monkeypatch):
     ("arguments", "status", "said"),
     [
         (["nowhere.binary"], 1, "left out: nowhere.binary"),
-        (["FITS", "--steps", "0"], 2, "steps: expected at least 1, found 0"),
-        (["FITS", "--size", "0"], 2, "expected size >= 1"),
+        (["FITS", "--environment", "none"], 2, "expected light probes, found none"),
+        (["FITS", "--environment", "grove", "none"], 2, "expected light probes, found none"),
+        (["FITS", "--size", "1024", "--steps", "360", "--environment", *["grove"] * 3], 2, "pixels on a page"),
+        ([""], 1, "found an empty one"),
         (["FITS", "--shape", "cube"], 1, "cube"),
         (["FITS", "--environment", "nowhere.hdr"], 1, "nowhere.hdr"),
         (["FITS", "--out", "FITS/view.html"], 1, "cannot be written"),

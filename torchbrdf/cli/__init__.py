@@ -1,5 +1,6 @@
 """The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
+import io
 import os
 import sys
 import warnings
@@ -28,6 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
     # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that knows only ASCII; a path that is no UTF-8
+            stream.reconfigure(errors="backslashreplace")
     options = build_parser().parse_args(arguments)
     warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
     try:

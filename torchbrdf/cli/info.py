@@ -5,8 +5,8 @@ import importlib.util
 import platform
 import sys
 
-from torchbrdf.cli.common import Commands, Options, described, short
-from torchbrdf.errors import TorchbrdfError, UsageError
+from torchbrdf.cli.common import Commands, Options, described, say, short
+from torchbrdf.errors import DataError, UsageError
 
 DESCRIPTION = """\
 Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
@@ -19,7 +19,7 @@ Say what measured BRDF files hold: format, size, invalid entries, whether a file
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     parser = described(commands.add_parser("info", help="say what a file holds"), DESCRIPTION, "files")
-    parser.add_argument("files", nargs="*", help="measured BRDFs")
+    parser.add_argument("files", nargs="*", help="measured BRDFs, or folders of them")
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     parser.set_defaults(command=command)
 
@@ -27,33 +27,36 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf info`."""
     from torchbrdf.measured import describe
+    from torchbrdf.measured.load import find_files
 
     if not options.files and not options.system:
         raise UsageError("info: expected files, or --system")
     if options.system:
         _print_facts(_system_facts(), "")
-    failed = 0
-    for k, name in enumerate(options.files):
+    bad: list[DataError] = []
+    files = find_files(options.files, bad) if options.files else []
+    for k, path in enumerate(files):
         try:
-            facts = describe(name)
-        except TorchbrdfError as error:
-            print(f"torchbrdf: {error}", file=sys.stderr)
-            failed = 1
+            facts = describe(path)
+        except DataError as error:
+            bad.append(error)
             continue
         if k or options.system:
             print()
-        print(name)
+        say(path)
         _print_facts(facts, "  ")
-    return failed
+    for one in bad:
+        say(f"torchbrdf: {one}", to=sys.stderr)
+    return 1 if bad else 0
 
 
 def _print_facts(facts: dict[str, object], indent: str) -> None:
     for key, value in facts.items():
         if isinstance(value, dict):
-            print(f"{indent}{key}")
+            say(f"{indent}{key}")
             _print_facts(value, indent + "  ")
         else:
-            print(f"{indent}{key:42s} {short(value)}")
+            say(f"{indent}{key:42s} {short(value)}")
 
 
 def _system_facts() -> dict[str, object]:

@@ -1,6 +1,6 @@
 """`torchbrdf render`."""
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar
+from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, say, whole
 from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
@@ -22,9 +22,11 @@ def add(commands: Commands) -> None:
         "--environment", default="grove", help="grove (default), studio, none, or .exr or .hdr: lat-long or angular map"
     )
     parser.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
-    parser.add_argument("--rotate", type=float, default=0.0, help="turn the view by so many degrees (default 0)")
-    parser.add_argument("--elevation", type=float, default=0.0, help="degrees to look down from (default 0)")
-    parser.add_argument("--size", type=int, default=400, help="pixels of a side (default 400)")
+    parser.add_argument(
+        "--rotate", type=number(-3600, 3600), default=0.0, help="turn the view by so many degrees (default 0)"
+    )
+    parser.add_argument("--elevation", type=number(-89, 89), default=0.0, help="degrees to look down from (default 0)")
+    parser.add_argument("--size", type=whole(1, 2048), default=400, help="pixels of a side, 1 to 2048 (default 400)")
     parser.add_argument(
         "--lamp", action="append", default=[], help="directional:X,Y,Z:COLOR or point:X,Y,Z:COLOR; may come again"
     )
@@ -59,5 +61,5 @@ def command(options: Options) -> int:
     if not groups:
         return 1
     for path, label in draw_groups(out, groups, scene, progress_bar("pixels")):
-        print(f"{path}  {label}")
+        say(f"{path}  {label}")
     return 0 if complete else 1

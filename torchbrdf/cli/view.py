@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar
+from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say, whole
+from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
 Draw measured BRDFs and fits from all around, and write one page to look at them: turn the object, wipe between a
@@ -23,8 +24,10 @@ def add(commands: Commands) -> None:
         "--environment", nargs="+", default=["grove"], help="grove (default), studio, or .exr or .hdr light probes"
     )
     parser.add_argument("--shape", default="blob", help="blob (default), sphere, or a mesh file")
-    parser.add_argument("--size", type=int, default=320, help="pixels of a side (default 320)")
-    parser.add_argument("--steps", type=int, default=12, help="sides that it is seen from, all around (default 12)")
+    parser.add_argument("--size", type=whole(1, 1024), default=320, help="pixels of a side, 1 to 1024 (default 320)")
+    parser.add_argument(
+        "--steps", type=whole(1, 360), default=12, help="sides that it is seen from, all around, 1 to 360 (default 12)"
+    )
     parser.add_argument("--out", default="view.html", help="the page (default: view.html)")
     parser.add_argument("--open", action="store_true", help="open it in the browser")
     parser.set_defaults(command=command)
@@ -34,14 +37,17 @@ def command(options: Options) -> int:
     """`torchbrdf view`."""
     from torchbrdf.files import writable
     from torchbrdf.measured.load import number_repeats
+    from torchbrdf.names import clean_name
     from torchbrdf.render import Environment, find_mesh
     from torchbrdf.report.viewer import write_viewer
 
+    if "none" in options.environment:
+        raise UsageError("view: expected light probes, found none; without light a picture is black")
     out = Path(options.out)
     writable(out.parent)
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
-    names = number_repeats([Path(name).stem for name in options.environment], " #")
+    names = number_repeats([clean_name(Path(name).stem) for name in options.environment], " #")
     groups, complete = load_files(options.files)
     if not groups:
         return 1
@@ -55,8 +61,7 @@ def command(options: Options) -> int:
         progress=progress_bar("sides"),
     )
     pictures = sum(map(len, groups)) * len(lights) * options.steps
-    print(f"{pictures} pictures, {out.stat().st_size / 1e6:.1f} MB")
-    print(out)
+    say(f"{pictures} pictures, {out.stat().st_size / 1e6:.1f} MB", out)
     if options.open:
         import webbrowser
 

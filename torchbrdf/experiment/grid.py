@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.experiment.items import same_file
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
 from torchbrdf.lobes import LOBES, FitRecord, make_model, read_fits, write_fits
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image
+from torchbrdf.names import file_stem
 from torchbrdf.progress import Progress, part_of
 from torchbrdf.recipe import RunFolder
 
@@ -74,6 +76,13 @@ class FitGrid:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise UsageError(f"materials: {twice[0]!r} comes twice; give each file a name of its own")
+        files: dict[str, str] = {}
+        for name in names:
+            other = files.setdefault(same_file(file_stem(name)), name)
+            if other != name:
+                raise UsageError(
+                    f"materials: pictures of {shown(other)} and {shown(name)} are one file on some systems"
+                )
 
     @property
     def materials(self) -> list[str]:

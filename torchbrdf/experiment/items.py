@@ -1,6 +1,6 @@
 """What files hold to be looked at: materials and their fits, with labels, file names, and who is a fit of whom."""
 
-import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -8,6 +8,7 @@ from typing import Literal
 from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.measured import Measured, StandIn
 from torchbrdf.measured.load import number_repeats
+from torchbrdf.names import clean_name, file_stem
 
 
 @dataclass(frozen=True)
@@ -60,19 +61,24 @@ def list_items(groups: Sequence[Measured], reserved: Sequence[str] = ()) -> list
 def distinct_stems(names: Sequence[str], reserved: Sequence[str] = ()) -> list[str]:
     """Names of files in one folder, without suffix, no two the same, also where case does not count.
 
-    What a file name had better not hold becomes `_`; a name that is taken gets a number behind.
+    They are `names.file_stem`s; one that is taken gets a number behind, and none is hidden by a dot in front.
     """
-    taken = {name.casefold() for name in reserved}
+    taken = {same_file(name) for name in reserved}
     made = []
     for name in names:
-        plain = re.sub(r"[^\w.+@=-]+", "_", name).lstrip(".") or "_"
+        plain = file_stem(name).lstrip(".") or "_"
         number, stem = 1, plain
-        while stem.casefold() in taken:
+        while same_file(stem) in taken:
             number += 1
             stem = f"{plain}-{number}"
-        taken.add(stem.casefold())
+        taken.add(same_file(stem))
         made.append(stem)
     return made
+
+
+def same_file(stem: str) -> str:
+    """What is the same for names that are one file on some system: those that differ in case, or in how accents are."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", stem).casefold())
 
 
 def _item(group: Measured, row: int) -> Item:
@@ -87,4 +93,4 @@ def _item(group: Measured, row: int) -> Item:
     lobes = f"{record.lobes} lobe{'' if record.lobes == 1 else 's'}"
     how = [model_label(record.model), lobes, loss_label(record.loss), record.strategy]
     stem = [name, record.model, lobes.replace(" ", "-"), record.loss, record.strategy]
-    return Item(f"{name}: {', '.join(filter(None, how))}", name, "fit", stem="-".join(filter(None, stem)))
+    return Item(clean_name(f"{name}: {', '.join(filter(None, how))}"), name, "fit", stem="-".join(filter(None, stem)))

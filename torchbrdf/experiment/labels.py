@@ -4,7 +4,15 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import LOSSES
 
 STAND_IN = "stand-in materials, not measurements"
-LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "cube_root": "cube root"}
+# What is not made of a name by writing its words apart.
+LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "solid_angle_cosine_rms": "solid-angle cosine RMS"}
+MODEL_LABELS = {
+    "abc": "ABC",
+    "distribution_based": "distribution-based",
+    "ggx": "GGX",
+    "sgd": "SGD",
+    "shifted_gamma": "shifted gamma",
+}
 DIFFERENCE_LABELS = {
     "psnr": "PSNR",
     "ssim": "SSIM",
@@ -32,8 +40,13 @@ def difference_label(name: str) -> str:
 
 
 def model_label(name: str) -> str:
-    """A model's name for people."""
-    return "-".join(word.capitalize() for word in name.split("_"))
+    """A model's name for people; those that are named after people have capitals.
+
+    Example:
+        >>> model_label("cook_torrance"), model_label("abc")
+        ('Cook-Torrance', 'ABC')
+    """
+    return MODEL_LABELS.get(name) or "-".join(word.capitalize() for word in name.split("_"))
 
 
 def caveat(stand_in: bool, *others: str) -> str:

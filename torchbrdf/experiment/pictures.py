@@ -14,6 +14,7 @@ from torchbrdf.files import write_json
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
 from torchbrdf.images.differences.delta_e76 import lab
 from torchbrdf.lobes import FitRecord, model_of
+from torchbrdf.names import file_stem
 from torchbrdf.parallel import thread_map
 from torchbrdf.progress import part_of
 from torchbrdf.render import Scene, render
@@ -52,7 +53,7 @@ class Pictures:
 
     def path(self, name: str, scene: str = ONLY, suffix: str = ".png") -> Path:
         """Where a picture is."""
-        return self.grid.folder.path / "renders" / scene / f"{name}{suffix}"
+        return self.grid.folder.path / "renders" / scene / f"{file_stem(name)}{suffix}"
 
     def records_in(self, scene: str) -> list[FitRecord]:
         """The records that reports show, with the image differences in one scene as their `differences`."""

@@ -245,7 +245,7 @@ def _check_values(path: Path | str, records: Sequence[FitRecord]) -> None:
         kinds.setdefault((record.model, record.lobes), []).append(k)
     bad: list[int] = []
     for rows in kinds.values():
-        model = model_of([records[k] for k in rows])
+        model = model_of([records[k] for k in rows], torch.float64)
         for dtype in (torch.float64, torch.float32):
             with torch.no_grad():
                 values = model.to(dtype)(_probes().to(dtype=dtype))
@@ -261,7 +261,7 @@ def _check_values(path: Path | str, records: Sequence[FitRecord]) -> None:
 
 def _probes() -> Pairs:
     """Pairs all over the hemisphere, the normal, the mirror's direction and the horizon among them, `(1, N)`."""
-    steps = torch.linspace(0, 1, 7, dtype=torch.float64)
+    steps = torch.linspace(0, 1, 7, dtype=torch.float64, device="cpu")
     theta_h, theta_d, phi_d = (part.reshape(1, -1) for part in torch.meshgrid(steps**2, steps, steps, indexing="ij"))
     return Pairs.from_half_diff(theta_h * (math.pi / 2), theta_d * (math.pi / 2) * 0.999, phi_d * math.pi)
 

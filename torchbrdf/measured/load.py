@@ -10,9 +10,13 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
-from torchbrdf.names import clean_name
+from torchbrdf.names import LONGEST_NAME, clean_name
+from torchbrdf.reading import reading
 
 log = logging.getLogger("torchbrdf")
+
+# Bytes of a name that are left for the number behind it.
+ROOM = 12
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -41,7 +45,7 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
         >>> measured.batch([0], samples=torch.arange(5)).values.shape
         torch.Size([1, 5, 3])
     """
-    files = _files(paths)
+    files = find_files(paths)
     groups = _by_format(files)
     if len(groups) > 1:
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
@@ -76,7 +80,7 @@ def load_all(
         >>> [measured.source.format for measured in load_all([standins()])]
         ['fits']
     """
-    groups = _by_format(_files(paths, bad), bad)
+    groups = _by_format(find_files(paths, bad), bad)
     if bad is not None:
         groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad))}
     return [_open(name, members, dtype, device) for name, members in groups.items()]
@@ -119,23 +123,26 @@ def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: t
 
 
 def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
-    """Names with the folder in front where they are not unique, and a number behind where that does not help."""
+    """Names that are names, with the folder in front where they are not unique, and a number behind if need be."""
     count = Counter(names)
-    names = [
-        name if count[name] == 1 else clean_name(f"{path.resolve().parent.name}-{name}")
+    own = [
+        name if count[name] == 1 else f"{path.resolve().parent.name}-{name}"
         for name, path in zip(names, paths, strict=True)
     ]
-    return number_repeats(names, "-")
+    return number_repeats([clean_name(name, LONGEST_NAME - ROOM) for name in own], "-")
 
 
 def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     """The names, those that came before with a mark and a number behind."""
-    seen: Counter[str] = Counter()
-    made = []
+    last: Counter[str] = Counter()
+    made: dict[str, None] = {}
     for name in names:
-        seen[name] += 1
-        made.append(name if seen[name] == 1 else f"{name}{mark}{seen[name]}")
-    return made
+        own = name
+        while own in made:
+            last[name] += 1
+            own = f"{name}{mark}{last[name] + 1}"
+        made[own] = None
+    return list(made)
 
 
 def _good(name: str, paths: Sequence[Path], bad: list[DataError]) -> list[Path]:
@@ -173,20 +180,24 @@ def _expect_format(path: Path) -> str:
     return name
 
 
-def _files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
-    """The files that paths name, each once."""
+def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
+    """The files that paths name, each once; folders give those in them that are of a known format."""
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     files: dict[Path, Path] = {}
-    asked = [Path(path) for path in paths]
+    asked = list(paths)
     if not asked:
         raise DataError(f"no file was given; expected measured BRDFs ({_known()})")
-    for path in asked:
+    for given in asked:
         try:
-            for file in _folder(path) if path.is_dir() else [path]:
-                if not file.is_file():
-                    raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
-                files.setdefault(file.resolve(), file)
+            if given == "":  # which a Path takes for this folder
+                raise DataError(f"expected a path of measured BRDFs ({_known()}), found an empty one")
+            path = Path(given)
+            with reading(path, "measured BRDFs"):  # a name may be too long for the system
+                for file in _folder(path) if path.is_dir() else [path]:
+                    if not file.is_file():
+                        raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
+                    files.setdefault(file.resolve(), file)
         except DataError as error:
             if bad is None:
                 raise

@@ -139,7 +139,10 @@ class Scene:
             pairs, make = self._built
             return pairs, merge_blocks(make(), self._jobs, self._quadratures)
 
-        pairs, blocks = build() if self.cache is None else load_or_build(self.cache, self._ingredients(), build)
+        if self.cache is None:
+            pairs, blocks = build()
+        else:
+            pairs, blocks = load_or_build(self.cache, self._ingredients(), len(index), len(self._quadratures), build)
         return pairs, Transport(len(pairs), index, self.size, blocks)
 
     def _ingredients(self) -> list[object]:

@@ -11,7 +11,7 @@ import torch
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from torchbrdf.experiment.grid import FitGrid
-from torchbrdf.experiment.labels import caveat, loss_label
+from torchbrdf.experiment.labels import caveat, difference_label, loss_label, model_label
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, model_of
 from torchbrdf.measured import Measured
@@ -33,6 +33,7 @@ def gloss_figure(
         left.set(
             xscale="log", xlabel="distinctness of image: degrees off the mirror direction\nat 0.3 of its luminance"
         )
+        left.xaxis.set_major_formatter("{x:g}")
         left.set_yticks(rows, [names[k] for k in order])
         left.invert_yaxis()
         right.barh(rows, np.asarray(contrast)[order], color="#dd8452")
@@ -73,6 +74,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
         off = np.geomspace(0.05, 90, 200)
         _curves(panels[-1], material, model, records, 30.0, 30.0 - off, off)
         panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror direction", xscale="log")
+        panels[-1].xaxis.set_major_formatter("{x:g}")
         panels[0].set_ylabel("cube root of f (green)")
         panels[-1].legend(fontsize=7, frameon=False)
 
@@ -89,14 +91,16 @@ def quality_figure(
             for loss in losses:
                 own = {r.material: r for r in records if r.model == model and r.loss == loss}
                 values = [own[name].differences[difference] for name in order]
-                panel.plot(range(len(order)), values, "o-", ms=4, lw=1, color=COLORS.get(loss), label=loss)
+                panel.plot(range(len(order)), values, "o-", ms=4, lw=1, color=COLORS.get(loss), label=loss_label(loss))
                 for k, name in enumerate(order):
                     if own[name].outlier:
                         panel.plot(k, values[k], "s", ms=10, mfc="none", mec="black")
-            panel.set_title(model.replace("_", "-"))
+            panel.set_title(model_label(model))
             panel.set_xticks(range(len(order)), order, rotation=60, ha="right")
         better = "higher" if kind.higher_is_better else "lower"
-        panels[0].set_ylabel(f"{kind.__name__}{' in ' + kind.unit if kind.unit else ''} ({better} is better)")
+        panels[0].set_ylabel(
+            f"{difference_label(difference)}{' in ' + kind.unit if kind.unit else ''} ({better} is better)"
+        )
         panels[-1].legend(frameon=False)
 
 
@@ -112,14 +116,16 @@ def strategies_figure(path: Path, grid: FitGrid, ratio: np.ndarray, gain: np.nda
             place = np.arange(len(counts)) + (k - 0.5) * height
             bars = left.barh(place, counts, height, label=strategy, color=("#c44e52", "#4c72b0")[k])
             left.bar_label(bars, padding=3)
-        left.set_yticks(range(len(grid.models)), [model.replace("_", "-") for model in grid.models])
+        left.set_yticks(range(len(grid.models)), [model_label(model) for model in grid.models])
         left.invert_yaxis()
         left.margins(x=0.12)
         left.set_xlabel(f"fits stuck in a local minimum, of {len(ours) // len(grid.models)} a model")
         left.legend(frameon=False)
         for loss in grid.losses:
             chosen = np.array([record.loss == loss for record in ours])
-            right.plot(ratio[chosen], gain[chosen], "o", ms=5, alpha=0.8, color=COLORS.get(loss), label=loss)
+            right.plot(
+                ratio[chosen], gain[chosen], "o", ms=5, alpha=0.8, color=COLORS.get(loss), label=loss_label(loss)
+            )
         right.axhline(0, color="grey", lw=0.8)
         right.axvline(1, color="grey", lw=0.8)
         right.set(
@@ -160,7 +166,7 @@ def _curves(
     panel.plot(x, np.cbrt(material.at(pairs)[0, :, 1].clamp_min(0).numpy()), color="black", lw=1.6, label="measured")
     for record, values in zip(records, fitted, strict=True):
         loss = record.loss
-        panel.plot(x, np.cbrt(values[:, 1].numpy()), lw=1, color=COLORS.get(loss), label=loss)
+        panel.plot(x, np.cbrt(values[:, 1].numpy()), lw=1, color=COLORS.get(loss), label=loss_label(loss))
 
 
 def in_plane(incident: float, outgoing: np.ndarray) -> Pairs:

@@ -12,6 +12,7 @@ from torchbrdf.experiment.plan import Responses
 from torchbrdf.experiment.scaling import scale_experiments
 from torchbrdf.files import write_text
 from torchbrdf.lobes import FitRecord
+from torchbrdf.names import file_stem
 from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
 from torchbrdf.report.observers import observed, observer_tables
@@ -107,7 +108,7 @@ def _rows(pictures: Pictures, order: Sequence[str], figures: Path) -> dict[str, 
             "open": name == unfolded,
         }
         for k, model in enumerate(grid.models, 1):
-            path = figures / f"profile-{name}-{model}.png"
+            path = figures / f"{file_stem(f'profile-{name}-{model}')}.png"
             records = [grid.record(name, model, loss) for loss in grid.losses]
             profile_figure(path, group, records)
             rows[model].append(same | {"fits": [_fit(pictures, one) for one in records], "profile": embed_png(path)})
@@ -118,7 +119,7 @@ def _rows(pictures: Pictures, order: Sequence[str], figures: Path) -> dict[str, 
 def _fit(pictures: Pictures, record: FitRecord) -> dict[str, Any]:
     """The picture of a fit, and what is said of it."""
     return {
-        "loss": record.loss,
+        "loss": loss_label(record.loss),
         "image": embed_webp(pictures.path(pictures.grid.picture(record))),
         "outlier": record.outlier,
         "delta_e76": record.differences[DIFFERENCE],

@@ -10,6 +10,7 @@ from typing import Any
 from torchbrdf.experiment.conclusions import check_claims, confused, mean_scales
 from torchbrdf.experiment.scaling import ScaledExperiment, scale_experiments
 from torchbrdf.files import write_csv, write_json, write_text
+from torchbrdf.names import file_stem
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.psychophysics import Method, ObserverReport, kendall_agreement
 from torchbrdf.recipe import versions
@@ -24,7 +25,7 @@ POOR = 0.01
 
 def observed(scaled: ScaledExperiment, folder: Path, mark: str) -> dict[str, Any]:
     """What `observers.html` shows of an experiment; the figure is drawn into a folder."""
-    path = folder / (f"scales-{scaled.name}.png" if scaled.name else "scales.png")
+    path = folder / f"{file_stem(f'scales-{scaled.name}' if scaled.name else 'scales')}.png"
     caption = scales_figure(path, scaled, mark)
     return {
         "title": scaled.title,

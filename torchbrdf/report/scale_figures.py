@@ -134,10 +134,20 @@ def _bars(
     along: str,
     label: str = "",
 ) -> None:
-    """Points with their intervals along one axis, joined by a line where they stand side by side."""
+    """Points with their intervals along one axis, joined by a line where they stand side by side.
+
+    A legend leaves labels out that begin with an underscore.
+    """
     around = [[p.value - p.low for p in points], [p.high - p.value for p in points]]
     style = {"fmt": "o-" if along == "y" else "o", "ms": 4, "lw": 1, "elinewidth": 1, "capsize": 2}
-    panel.errorbar(x, y, **{f"{along}err": np.array(around).clip(0)}, color=color, label=label or None, **style)
+    panel.errorbar(
+        x,
+        y,
+        **{f"{along}err": np.array(around).clip(0)},
+        color=color,
+        label=f" {label}" if label.startswith("_") else label or None,
+        **style,
+    )
 
 
 def _panels(scaled: ScaledExperiment) -> dict[str, list[Line]]:

@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from torch import Tensor
 
+from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, DIFFERENCE, color_difference
 from torchbrdf.files import write_json
@@ -28,6 +29,9 @@ SIDE, TITLE, MOST_INCHES = 2.1, 0.4, 150.0
 LETTERS = 36
 # Between pictures, as a share of a cell; and room for the colour scale, in inches.
 GAP, SCALE_WIDTH = 0.03, 0.9
+
+# Of all pictures that are held at once; they take some 50 bytes each.
+MOST_PIXELS = 200_000_000
 
 # Names that a folder of pictures has for itself.
 SHEET, TONE_MAP = "sheet", "tonemap"
@@ -56,8 +60,12 @@ def draw_groups(
 
     Returns:
         The PNG files, and what each shows, for people.
+
+    Raises:
+        UsageError: All pictures together have more than MOST_PIXELS pixels.
     """
     items = list_items(groups, reserved=(SHEET, TONE_MAP))
+    check_pixels("render", len(items), scene.size)
     linear = render(groups, scene, progress)
     tone = ToneMap.from_images(linear, scene.mask.expand(linear.shape[:-1]))
     display = tone(linear)
@@ -79,6 +87,15 @@ def draw_groups(
     write_sheet(sheet, items, display, maps, delta_e, scene.coverage)
     fits = any(item.reference is not None for item in items)
     return [*written, (sheet, "all of them" + ", and where fits differ from their materials" * fits)]
+
+
+def check_pixels(what: str, pictures: int, size: int) -> None:
+    """A UsageError if so many pictures of `size` x `size` pixels are more than memory should be asked for."""
+    if pictures * size**2 > MOST_PIXELS:
+        raise UsageError(
+            f"{what}: expected at most {MOST_PIXELS} pixels in all, found {pictures} pictures of {size} x {size}; "
+            "ask for smaller ones, or fewer at once"
+        )
 
 
 def write_sheet(

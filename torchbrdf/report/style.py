@@ -2,6 +2,7 @@
 
 import io
 import textwrap
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,9 @@ _STYLE: Any = {
     "axes.spines.right": False,
     "axes.grid": True,
     "grid.alpha": 0.25,
+    # Names may have a dollar sign: nothing in a figure is a formula.
+    "text.parse_math": False,
+    "text.usetex": False,
 }
 
 
@@ -28,8 +32,12 @@ _STYLE: Any = {
 def new_figure(
     path: Path, width: float, height: float, mark: str = "", layout: Any = "constrained"
 ) -> Iterator[Figure]:
-    """A figure of so many inches to draw on; saved when the block ends, with `mark` written on it."""
-    with matplotlib.rc_context(_STYLE):
+    """A figure of so many inches to draw on; saved when the block ends, with `mark` written on it.
+
+    Text is drawn as it is; a character that the font lacks is a box, without a warning for each.
+    """
+    with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure = Figure(figsize=(width, height), layout=layout)
         yield figure
         if mark:

@@ -19,9 +19,12 @@ from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
 from torchbrdf.report.embed import template
+from torchbrdf.report.sheet import check_pixels
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
 QUALITY = 88
+# Of all pictures of a page: 100 materials from 24 sides at 320 pixels are a quarter of it. It then has some 300 MB.
+MOST_PIXELS = 2_000_000_000
 
 
 def write_viewer(
@@ -48,6 +51,12 @@ def write_viewer(
     items = list_items(groups)
     if not items or not lights:
         raise UsageError(f"viewer: expected materials and lights, found {len(items)} and {len(lights)}")
+    every = len(items) * len(lights) * steps
+    if every * size**2 > MOST_PIXELS:
+        raise UsageError(
+            f"viewer: expected at most {MOST_PIXELS} pixels on a page, found {every} pictures of {size} x {size}"
+        )
+    check_pixels("viewer", len(items), size)
     frames: list[list[list[str]]] = []
     numbers: list[list[list[list[str] | None]]] = []
     tones: list[ToneMap] = []

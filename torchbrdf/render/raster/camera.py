@@ -62,7 +62,7 @@ class Camera:
         """
         center, radius = mesh.bounding_sphere
         if not radius > 0:
-            raise DataError(f"camera: expected a mesh with an extent, found {len(mesh.vertices)} vertices in one place")
+            raise DataError(f"{mesh.name}: expected a mesh with an extent, found {len(mesh.faces)} faces in one place")
         angle, height = math.radians(self.rotation), math.radians(self.elevation)
         sine, cosine = math.sin(angle), math.cos(angle)
         right = np.array([cosine, 0.0, -sine])

@@ -2,13 +2,16 @@
 
 import importlib.resources
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import ShapeError
+from torchbrdf.files import replacing
+from torchbrdf.render.raster.join import join
+from torchbrdf.render.raster.mesh_formats import read_parts
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,10 @@ class Mesh:
         vertices: `(V, 3)`, float64, in any unit.
         faces: Indices of the corners of each triangle, `(F, 3)`.
         normals: Unit vectors pointing outward, `(V, 3)`.
+        name: What messages call it: the path of its file.
+
+    Raises:
+        ShapeError: Shapes do not fit together, a face names no vertex, or a number is not finite.
 
     Example:
         >>> from torchbrdf.render import sphere
@@ -30,63 +37,38 @@ class Mesh:
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
+    name: str = field(default="mesh", compare=False)
+
+    def __post_init__(self) -> None:
+        shapes = [np.shape(array) for array in (self.vertices, self.faces, self.normals)]
+        if any(len(shape) != 2 or shape[1] != 3 or not shape[0] for shape in shapes) or shapes[0] != shapes[2]:
+            raise ShapeError(f"{self.name}: expected vertices (V, 3), faces (F, 3), normals (V, 3), found {shapes}")
+        if not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
+            raise ShapeError(
+                f"{self.name}: expected faces of vertices 0 to {len(self.vertices) - 1}, "
+                f"found {self.faces.min()} to {self.faces.max()}"
+            )
+        if not (np.isfinite(self.vertices).all() and np.isfinite(self.normals).all()):
+            raise ShapeError(f"{self.name}: expected finite vertices and normals, found others")
 
     @classmethod
     def load(cls, path: str | Path) -> "Mesh":
-        """Read a mesh from any file that trimesh reads.
+        """Read a mesh from an OBJ, PLY, STL, OFF, glTF or GLB file.
 
-        Without normals in the file they are averaged over the faces around a vertex, vertices at one place merged.
-        What is amiss is repaired, and said in the log: faces without area are dropped, a closed mesh that is inside
-        out is turned (of an open one that cannot be known, but both sides are drawn), and a vertex without a normal,
-        such as one whose faces cancel, takes that of one of its faces.
+        All parts of the file, each in its place, become one mesh. Normals of the file are kept; a vertex without one
+        gets the mean of the triangles around its place. What is amiss is repaired, and said in the log: what no
+        triangle refers to, faces without area and parts without faces are dropped; normals that are not of length 1
+        are normalised; a closed mesh that is inside out is turned (of an open one that cannot be known, but both
+        sides are drawn); and a vertex whose faces cancel takes the normal of one of them. Polygons become triangles.
+        Materials, textures, colours and smoothing groups are not read, nor bones.
 
         Raises:
-            DataError: The file cannot be read, or holds no triangle with an area.
+            DataError: The file is of another kind, cannot be read, holds no triangle with an area or more than
+                5,000,000, or is smaller than 1e-9 or larger than 1e9 units, or 10,000 times its size away from the
+                origin; or a buffer of a glTF file is not in its folder.
         """
-        import trimesh  # late, because it takes longer to import than the rest of this package
-
         path = Path(path)
-        if not path.is_file():
-            raise DataError(f"{path}: expected a mesh, found no such file")
-        try:
-            scene: Any = trimesh.load_scene(str(path), process=False)
-            parts = scene.dump() if len(scene.graph.nodes_geometry) != 1 else [_only_part(scene)]
-        except Exception as error:  # its readers raise whatever comes up in a damaged file
-            raise DataError(f"{path}: not a readable mesh: {' '.join(str(error).split())}") from None
-        every, parts = len(parts), [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
-        if not parts:
-            raise DataError(f"{path}: expected a mesh of triangles, found no faces")
-        if len(parts) < every:
-            _warn(path, f"left out {every - len(parts)} of {every} parts without faces")
-        mesh: Any = parts[0] if len(parts) == 1 else trimesh.util.concatenate(parts)
-        if not np.isfinite(mesh.vertices).all():
-            raise DataError(f"{path}: a vertex is not finite")
-        if not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
-            raise DataError(f"{path}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}")
-        with_area = mesh.area_faces > 0
-        if not with_area.any():
-            raise DataError(f"{path}: all {len(mesh.faces)} faces have no area")
-        if not with_area.all():
-            _warn(path, f"dropped {(~with_area).sum()} of {len(with_area)} triangles without area")
-            mesh.update_faces(with_area)
-        if "vertex_normals" not in mesh._cache:
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        with np.errstate(invalid="ignore"):  # a flat mesh has no middle
-            inside_out = mesh.is_watertight and mesh.volume < 0
-        if inside_out:
-            _warn(path, f"closed and inside out; turned its {len(mesh.faces)} triangles")
-            mesh.invert()
-        faces, normals = np.array(mesh.faces, np.int64), np.array(mesh.vertex_normals, np.float64)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        of_a_face = np.zeros_like(normals)
-        of_a_face[faces] = mesh.face_normals[:, None]
-        without = ~(length > 1e-6) & of_a_face.any(1, keepdims=True)
-        if without.any():
-            _warn(
-                path, f"{without.sum()} of {len(normals)} vertices have no normal; each took that of one of its faces"
-            )
-        normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), of_a_face)
-        return cls(np.array(mesh.vertices, np.float64), faces, normals)
+        return cls(*join(path, read_parts(path, partial(_warn, path)), partial(_warn, path)), name=str(path))
 
     def save(self, path: str | Path) -> None:
         """Write the mesh as a binary PLY with normals, single precision."""
@@ -99,24 +81,22 @@ class Mesh:
         faces = np.empty(len(self.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
         faces["count"], faces["corners"] = 3, self.faces
         vertices = np.hstack([self.vertices, self.normals]).astype("<f4")
-        Path(path).write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+        with replacing(path) as temporary:
+            temporary.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
 
     @property
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
-        """Bounding sphere: the middle of the bounding box `(3,)`, and how far the mesh reaches from there."""
-        center = (self.vertices.min(0) + self.vertices.max(0)) / 2
-        return center, float(np.linalg.norm(self.vertices - center, axis=1).max())
+        """Bounding sphere: the middle of the triangles' bounding box `(3,)`, and how far they reach from there."""
+        there = np.zeros(len(self.vertices), bool)
+        there[self.faces] = True
+        used = self.vertices[there]
+        center = (used.min(0) + used.max(0)) / 2
+        return center, float(np.linalg.norm(used - center, axis=1).max())
 
 
 def _warn(path: Path, repair: str) -> None:
     """Say what was amiss in a file and what was done about it."""
     logging.getLogger("torchbrdf").warning("torchbrdf: %s: %s", path, repair)
-
-
-def _only_part(scene: Any) -> Any:
-    """The one part of a scene in its place. dump() would do, but forgets the normals of the file."""
-    transform, name = scene.graph[scene.graph.nodes_geometry[0]]
-    return scene.geometry[name].apply_transform(transform)
 
 
 def sphere(levels: int = 6) -> Mesh:
@@ -130,7 +110,7 @@ def sphere(levels: int = 6) -> Mesh:
         512
     """
     vertices, faces = octahedral_sphere(levels)
-    return Mesh(vertices, faces, vertices.copy())
+    return Mesh(vertices, faces, vertices.copy(), name="sphere")
 
 
 def blob() -> Mesh:
@@ -140,7 +120,7 @@ def blob() -> Mesh:
     Reflectance, 2007, doi:10.1145/1275808.1276473. `torchbrdf.assets.make_blob` made it.
     """
     with importlib.resources.as_file(importlib.resources.files("torchbrdf.assets") / "blob.ply") as path:
-        return Mesh.load(path)
+        return replace(Mesh.load(path), name="blob")
 
 
 def find_mesh(name: str) -> Mesh:

@@ -57,7 +57,7 @@ def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pix
     coverage = seen.to(torch.float32).mean(1).reshape(size, size)
     pixel = seen.any(1).nonzero()[:, 0]
     if not len(pixel):
-        raise DataError(f"scene: nothing to see; the mesh covers no point of {size} x {size} pixels")
+        raise DataError(f"{mesh.name}: nothing to see; expected a mesh that covers a point of {size} x {size} pixels")
     order = torch.tensor(_PRIORITY, dtype=torch.int64, device="cpu")
     chosen = order[seen[pixel][:, _PRIORITY].to(torch.uint8).argmax(1)]
     position = blocks(torch.from_numpy(fine.position))[pixel, chosen]

@@ -15,6 +15,8 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
 from torchbrdf.render.transport.quadrature import Quadrature
 
+# What is known of the pairs.
+KNOWN = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
 # Columns of a product at a time: more of them no longer fit the processor's cache.
 _AT_ONCE = 8
 
@@ -228,8 +230,7 @@ def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[P
         known.append(part.representatives(torch.from_numpy(filled), mean))
     if not first:
         raise DataError("scene: no light reaches what is seen of the object")
-    names = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
-    whole = {name: torch.cat([getattr(one, name) for one in known], 1).to(torch.float32) for name in names}
+    whole = {name: torch.cat([getattr(one, name) for one in known], 1).to(torch.float32) for name in KNOWN}
 
     def block(job: Job) -> Block:
         part, rows = job

@@ -1,0 +1,107 @@
+"""Wavefront OBJ: vertices, normals and faces; all else (materials, textures, groups, curves) is not needed here."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.render.raster.mesh_formats.part import Part, Say, check_indices, triangulate
+
+# Statements that change nothing about triangles and their normals.
+_SILENT = frozenset(
+    b"vt g o s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj vp".split()
+)
+# Statements that draw something that is no triangle.
+_NOT_FACES = frozenset(b"p l curv curv2 surf cstype deg bmat step parm trim hole scrv sp end con ctech stech".split())
+
+
+def read(path: Path, data: bytes, say: Say) -> list[Part]:
+    """One Part: a vertex for each place and normal that a corner names together; indices may count from the end."""
+    reader = _Reader()
+    for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+        words = line.partition(b"#")[0].split()
+        if words:
+            try:
+                reader.take(words, number)
+            except (ValueError, OverflowError):
+                raise DataError(f"{path}: line {number}: expected numbers of OBJ, found {shown(_text(line))}") from None
+    return reader.parts(path, say)
+
+
+def _text(line: bytes) -> str:
+    return line.decode("utf-8", "replace")
+
+
+class _Reader:
+    """What the lines up to now have said."""
+
+    def __init__(self) -> None:
+        self.places: list[list[float]] = []
+        self.directions: list[list[float]] = []
+        self.polygons: list[list[int]] = []
+        self.corners: dict[tuple[int, int], int] = {}
+        self.known: dict[bytes, int] = {}
+        self.others: Counter[str] = Counter()
+        self.odd: list[int] = []
+
+    def take(self, words: list[bytes], number: int) -> None:
+        """Take the words of one line; a ValueError if they are not what its first word promises."""
+        match words[0]:
+            case b"v":
+                self.places.append(_three(words))
+            case b"vn":
+                self.directions.append(_three(words))
+            case b"f":
+                known = self.known
+                self.polygons.append([known[word] if word in known else self.corner(word) for word in words[1:]])
+            case other if other in _NOT_FACES:
+                self.others[_text(other)] += 1
+            case other if other not in _SILENT:
+                self.odd.append(number)
+
+    def corner(self, word: bytes) -> int:
+        """The number of a corner `place/texture/normal`."""
+        parts = word.split(b"/")
+        if len(parts) > 3:
+            raise ValueError
+        place = _index(parts[0], len(self.places))
+        normal = _index(parts[2], len(self.directions)) if len(parts) == 3 and parts[2] else -1
+        found = self.corners.setdefault((place, normal), len(self.corners))
+        if b"-" not in word:  # what counts from the end means something else in another line
+            self.known[word] = found
+        return found
+
+    def parts(self, path: Path, say: Say) -> list[Part]:
+        """What the whole file holds."""
+        if self.odd:
+            say(f"ignored {len(self.odd)} lines that are no OBJ statements, the first of them line {self.odd[0]}")
+        if self.others:
+            say(f"left out {self.others.total()} statements that are no faces ({', '.join(sorted(self.others))})")
+        if not self.polygons or not self.corners:
+            return []
+        place, normal = np.array(list(self.corners), np.int64).T
+        check_indices(path, place, len(self.places))
+        check_indices(path, normal[normal >= 0], len(self.directions), "normal")
+        stray = len(self.places) - len(np.unique(place))
+        if stray:
+            say(f"left out {stray} of {len(self.places)} vertices that no face names")
+        vertices = np.array(self.places)[place]
+        faces = triangulate(path, vertices, self.polygons, say)
+        if not (normal >= 0).any():
+            return [Part(vertices, faces)]
+        return [Part(vertices, faces, np.vstack([self.directions, np.full((1, 3), np.nan)])[normal])]
+
+
+def _three(words: list[bytes]) -> list[float]:
+    """The three numbers behind the first word; more of them are a weight or a colour."""
+    _, x, y, z, *_ = words
+    return [float(x), float(y), float(z)]
+
+
+def _index(word: bytes, count: int) -> int:
+    """An index from 0, of one from 1, or of one from the end of what there is so far."""
+    index = int(word)
+    if index == 0 or index < -count or index > 2**62:
+        raise ValueError
+    return index - 1 if index > 0 else count + index
