@@ -1,35 +1,152 @@
 """Writing files whole or not at all: text, JSON, CSV."""
 
 import csv
+import hashlib
 import io
 import json
+import logging
 import math
 import os
+import platform
 import re
+import secrets
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from torchbrdf.errors import DataError
 
+# A temporary file says who writes it: a digest of the machine, the process, and a number of its own.
+_TEMPORARY = re.compile(r"\.tmp-(?P<machine>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{8}(\..*)?")
+# Seconds after which a temporary file that nobody has written to is nobody's, whatever its name says.
+_ABANDONED = 86_400
+# Seconds of waiting for a lock before it is said.
+_PATIENCE = 1.0
+LOCK = ".lock"
+"""The file, in a folder, that whoever writes there holds locked."""
+
+_live: set[str] = set()  # temporary files of this process
+_swept: set[Path] = set()  # folders that it has looked for leftovers in
+
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """A temporary path beside `path`, with its suffix, that takes its place when the block ends without an error."""
+    """A temporary path beside `path`, with its suffix, that takes its place when the block ends without an error.
+
+    No two writers have the same one. What processes that were killed have left in the folder is removed first.
+
+    Raises:
+        DataError: It cannot be written, whatever the library that writes says of a full disk.
+    """
     path = Path(path)
-    temporary = path.with_name(f".{os.getpid()}-{path.name}")
+    suffix = path.suffix if len(path.suffix) < 32 else ""
+    temporary = path.with_name(f".tmp-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
+    _live.add(temporary.name)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(path.parent)
         temporary.touch()
         yield temporary
         temporary.replace(path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror})") from None
+    except (OSError, RuntimeError) as error:  # OpenEXR and torch have no other words for a full disk
+        raise DataError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
     finally:
-        if path.parent.is_dir():
+        _live.discard(temporary.name)
+        with suppress(OSError):  # the folder is no folder, or gone
             temporary.unlink(missing_ok=True)
+
+
+@cache
+def _machine() -> str:
+    """This machine, since it was started, and its processes' numbers: those of another say nothing here."""
+    told = [platform.node()]
+    with suppress(OSError):  # Linux has these
+        told.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
+        told.append(str(Path("/proc/self/ns/pid").readlink()))
+    return hashlib.sha256("\n".join(told).encode()).hexdigest()[:8]
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of processes that are gone, once for each folder.
+
+    Those of another machine, which may share the folder, are removed when they are a day old.
+    """
+    folder = folder.absolute()
+    if folder in _swept:
+        return
+    _swept.add(folder)
+    for path in folder.glob(".tmp-*"):
+        found = _TEMPORARY.fullmatch(path.name)
+        if found:
+            with suppress(OSError):  # another writer was faster
+                if _is_left(path, found["machine"], int(found["pid"])):
+                    path.unlink(missing_ok=True)
+
+
+def _is_left(path: Path, machine: str, pid: int) -> bool:
+    import psutil
+
+    written = path.stat().st_mtime
+    if time.time() - written > _ABANDONED:
+        return True
+    if machine != _machine():
+        return False
+    if pid == os.getpid():
+        return path.name not in _live
+    try:  # a process that is younger than the file has got the number of the one that wrote it
+        return bool(psutil.Process(pid).create_time() > written + 1)
+    except psutil.NoSuchProcess:
+        return True
+    except psutil.AccessDenied:
+        return False
+
+
+@contextmanager
+def locked(folder: Path | str, wait: float = 0.0) -> Iterator[None]:
+    """Hold a folder's lock: no other process, or thread, that asks for it is in its block at the same time.
+
+    The system lets go of it when a process ends, however that is; the file `.lock` says nothing by being there.
+
+    Args:
+        folder: Made, if it is not there.
+        wait: For how many seconds to wait for another; after the first of them the log says so.
+
+    Raises:
+        DataError: Another process holds the lock, or the folder cannot be written.
+    """
+    import filelock
+
+    path = writable(folder) / LOCK
+    lock = filelock.FileLock(path)
+    try:
+        try:
+            lock.acquire(timeout=min(wait, _PATIENCE))
+        except filelock.Timeout:
+            if wait > _PATIENCE:
+                logging.getLogger("torchbrdf").warning("torchbrdf: %s: waiting for another process", folder)
+            lock.acquire(timeout=max(wait - _PATIENCE, 0.0))
+    except filelock.Timeout:
+        waited = f" for {wait:g} s" if wait else ""
+        raise DataError(
+            f"{folder}: another process has been at work in it{waited}; wait for its end, or choose another folder"
+        ) from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be locked ({error.strerror or error})") from None
+    try:
+        yield
+    finally:
+        if os.name == "posix":  # those that wait see that it is gone, and make a new one
+            path.unlink(missing_ok=True)
+        lock.release()
+
+
+def is_passing(path: Path) -> bool:
+    """Whether a file is one of those that come and go while a folder is written: a lock, or a temporary one."""
+    return path.name == LOCK or _TEMPORARY.fullmatch(path.name) is not None
 
 
 def writable(folder: Path | str) -> Path:

@@ -2,20 +2,36 @@
 
 import ctypes
 import logging
-import multiprocessing
-import sys
-import warnings
+import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from functools import cache
-from pathlib import Path
-from typing import Any, TypeVar
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
+from itertools import islice
+from types import TracebackType
+from typing import TypeVar
 
 import torch
 
+from torchbrdf.errors import UsageError, shown
+from torchbrdf.workers import WORKERS, CannotBeSentError, Lost, packed_function
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+__all__ = ["Lost", "process_map", "thread_map"]
+
+VARIABLE = "TORCHBRDF_PROCESSES"
+"""Of the environment: `always` or `never` in the place of the rule of `process_map`."""
+# CPU seconds of threads before processes are started. Two threads wait for Python's lock for 13 % of their time, and a
+# process takes 2.5 s to import torch and torchbrdf: so the start is paid for when it has cost as much to do without.
+WORTH = 40.0
+THREADS = "torchbrdf: working in threads, as processes cannot be given the work: %s"
+
+logger = logging.getLogger("torchbrdf")
+
+_spent = 0.0  # CPU seconds of threads that were work for processes
 
 
 def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -23,81 +39,125 @@ def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 
     Each thread runs its own operations alone. torch would rather split every single operation over all threads and
     have them wait for each other at its end, which is slower for small operations, and many times slower on a machine
-    that has something else to do.
+    that has something else to do. Who stops listening, by Ctrl-C too, stops the threads where they are.
     """
-    threads = torch.get_num_threads()
-
-    def run(item: Item) -> Result:
-        with torch.no_grad():
-            return function(item)
-
-    try:
-        with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            yield from pool.map(run, items)
-    finally:
-        torch.set_num_threads(threads)  # the workers changed it for threads that start later
+    items = list(items)
+    yield from _in_threads(function, items, len(items))
 
 
-def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-    """As `thread_map`, in processes where that is possible: threads of one process wait for Python's lock.
+def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result | Lost]:
+    """As `thread_map`, in processes where that is quicker: threads of one process wait for Python's lock.
 
-    For seconds of work on the CPU, of which a small result comes back (it is pickled). The processes are forks, as
-    those of torch's DataLoader are, so that nothing has to be sent to them. What is raised in one is raised here, with
-    its traceback there as the cause. Without fork, with CUDA in use, which a fork cannot share, or with one item or
-    one thread, it is `thread_map`; with CUDA the log says so.
+    For seconds of work on the CPU, of which a small result comes back. It is `thread_map` until this process has spent
+    40 CPU seconds on such work; then processes are started, which nothing waits for, and are kept for later calls.
+    Function and items are pickled by cloudpickle. What is raised in a process is raised here, with its traceback there
+    as the cause; an item whose process died twice gives `Lost`.
+
+    It stays `thread_map` with one item or one thread, while another thread has the processes, in a process that may
+    have no children, and for what cannot be pickled or takes too many bytes, which the log says. TORCHBRDF_PROCESSES in
+    the environment, `always` or `never`, overrules the 40 seconds.
 
     Raises:
-        RuntimeError: A process ended without an answer, as it does when memory runs out.
+        RuntimeError: Processes die as they start.
+        UsageError: TORCHBRDF_PROCESSES is something else.
     """
+    rule = os.environ.get(VARIABLE, "")
+    if rule not in ("", "always", "never"):
+        raise UsageError(f"{VARIABLE}: expected always or never, found {shown(rule)}")
     count = min(torch.get_num_threads(), len(items))
-    if count < 2 or not sys.platform.startswith("linux") or _is_cuda_in_use():
-        yield from thread_map(function, items)
-        return
-    _release_buffers()()
-    context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(count, context, initializer=_start, initargs=(function, items))
+    with WORKERS.reserved() if count > 1 and rule != "never" else nullcontext(False) as free:
+        if not free:
+            yield from thread_map(function, items)
+            return
+        left = iter(items)
+        if rule != "always":
+            yield from _in_threads(function, _until_processes(function, left, count), count)
+        rest = list(left)
+        try:
+            if rest:
+                yield from WORKERS.map(function, rest, count)
+        except CannotBeSentError as error:
+            logger.info(THREADS, error)
+            yield from thread_map(function, rest)
+
+
+def _until_processes(function: Callable[[Item], Result], items: Iterator[Item], count: int) -> Iterator[Item]:
+    """Items for threads until processes are ready, which start when threads have had what makes them worth it."""
+    global _spent
+    began, tried = time.perf_counter(), False
     try:
-        with warnings.catch_warnings():
-            # Python 3.12 warns of threads at a fork; the child uses nothing that they may hold.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            answers = pool.map(_run, range(len(items)))
-        yield from answers
-    except BrokenProcessPool:
-        raise RuntimeError("a worker process ended without an answer: out of memory?") from None
+        while not WORKERS.are_ready(count):
+            if not tried and _spent + count * (time.perf_counter() - began) > WORTH:
+                tried = True
+                try:
+                    WORKERS.begin(count, packed_function(function))
+                except CannotBeSentError as error:
+                    logger.info(THREADS, error)
+            try:
+                item = next(items)
+            except StopIteration:
+                return
+            yield item
     finally:
+        _spent += count * (time.perf_counter() - began)
+
+
+class _StoppedError(BaseException):
+    """Raised in threads whose answers nobody wants any more."""
+
+
+class _Crew:
+    """The threads that are at work, so that they can be stopped."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._members: set[int] = set()
+        self._is_stopped = False
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._is_stopped:
+                raise _StoppedError
+            self._members.add(threading.get_ident())
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        with self._lock:
+            self._members.discard(threading.get_ident())
+
+    def stop(self) -> None:
+        """Raise in each thread, between two of its operations."""
+        with self._lock:
+            self._is_stopped = True
+            for thread in self._members:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(_StoppedError))
+
+
+def _in_threads(function: Callable[[Item], Result], items: Iterable[Item], waiting: int) -> Iterator[Result]:
+    """As `thread_map`; no more than `waiting` items wait for a thread."""
+    threads, crew, left = torch.get_num_threads(), _Crew(), enumerate(items)
+    running: dict[Future[Result], int] = {}
+    done: dict[int, Future[Result]] = {}
+    following = 0
+
+    def run(item: Item) -> Result:
+        with crew, torch.no_grad():
+            return function(item)
+
+    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
+    try:
+        while True:
+            for index, item in islice(left, max(threads + waiting - len(running), 0)):
+                running[pool.submit(run, item)] = index
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                done[running.pop(future)] = future
+            while following in done:
+                yield done.pop(following).result()
+                following += 1
+    finally:
+        crew.stop()
         pool.shutdown(cancel_futures=True)
-
-
-def _is_cuda_in_use() -> bool:
-    if not torch.cuda.is_initialized():
-        return False
-    logging.getLogger("torchbrdf").info("torchbrdf: CUDA is in use, which processes cannot share; working in threads")
-    return True
-
-
-@cache
-def _release_buffers() -> Callable[[], object]:
-    """What has MKL give back the buffers of all threads.
-
-    Where threads that are gone have left some, a forked process waits in MKL's allocator for ever.
-    """
-    path = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
-    if torch.backends.mkl.is_available() and path.exists():
-        return getattr(ctypes.CDLL(str(path)), "mkl_serv_free_buffers", int)
-    return int  # no MKL, nothing to do
-
-
-# In a worker process: the function and the items, which came with the fork and so need not be picklable.
-_work: tuple[Callable[[Any], Any], Sequence[Any]]
-
-
-def _start(function: Callable[[Item], Result], items: Sequence[Item]) -> None:
-    global _work
-    _work = function, items
-    torch.set_num_threads(1)
-    torch.set_grad_enabled(False)
-
-
-def _run(index: int) -> Any:
-    function, items = _work
-    return function(items[index])
+        torch.set_num_threads(threads)  # the workers changed it for threads that start later

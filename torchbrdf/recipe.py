@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 from torchbrdf import bounds
 from torchbrdf.errors import UsageError, shown
-from torchbrdf.files import write_json
+from torchbrdf.files import is_passing, locked, write_json
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.reading import read_json
 from torchbrdf.registry import Registry, unknown
@@ -277,14 +277,18 @@ def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | N
 
     Raises:
         UsageError: the folder holds another run, or other files.
-        DataError: its recipe.json cannot be read.
+        DataError: its recipe.json cannot be read, or another process is at work in it.
 
     Example:
         >>> from torchbrdf.recipe import find_recipe, run
         >>> recipe = find_recipe("fores2012")(quick=True)
         >>> report = run(recipe, "runs/fores2012")  # doctest: +SKIP
     """
-    out = Path(out)
+    with locked(out):
+        return _run(recipe, Path(out), progress)
+
+
+def _run(recipe: Recipe, out: Path, progress: Callable[[str], Progress] | None) -> Path:
     settings = json.loads(json.dumps(dataclasses.asdict(recipe)))
     record = {"recipe": recipe.name, "settings": settings, "versions": versions()}
     stored = out / "recipe.json"
@@ -295,7 +299,7 @@ def run(recipe: Recipe, out: Path | str, progress: Callable[[str], Progress] | N
             raise UsageError(
                 f"{out}: holds a run with other {' and '.join(changed)}; choose another folder, or remove it"
             )
-    elif out.is_dir() and any(out.iterdir()):
+    elif not all(map(is_passing, out.iterdir())):
         raise UsageError(f"{out}: expected an empty folder or one of an earlier run, found other files")
     write_json(stored, record)
     folder = RunFolder(out, progress)

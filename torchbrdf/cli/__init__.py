@@ -2,6 +2,7 @@
 
 import io
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 from torchbrdf import __version__
 from torchbrdf.cli import fit, info, render, run, study, view
 from torchbrdf.cli.common import Parser, described
+from torchbrdf.cli.signals import GRACE, EndedError, ending
 from torchbrdf.errors import TorchbrdfError, UsageError
 
 DESCRIPTION = """\
@@ -26,7 +28,7 @@ COMMANDS = (run, fit, render, view, info, study)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; the exit status is 0, 1 (data or a run failed) or 2 (usage)."""
+    """Run a command; the exit status is 0, 1 (data or a run failed), 2 (usage), or 128 and the number of a signal."""
     # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
     os.environ.setdefault("GOMP_SPINCOUNT", "3000")
     for stream in (sys.stdout, sys.stderr):
@@ -35,16 +37,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
     try:
-        return int(options.command(options))
+        # A server ends its answers first, and says how many there are.
+        with ending(None if options.command.__module__ == study.__name__ else GRACE):
+            return int(options.command(options))
     except UsageError as error:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 2
     except (TorchbrdfError, OSError) as error:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print("torchbrdf: stopped", file=sys.stderr)
-        return 1
+        return 128 + (error.number if isinstance(error, EndedError) else signal.SIGINT)
 
 
 def build_parser() -> Parser:

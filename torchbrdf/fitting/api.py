@@ -14,12 +14,13 @@ from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.fitting.scoring import errors, parallel_map
-from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Strategy, joined, strategy_name
+from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joined, strategy_name
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
+from torchbrdf.parallel import Lost
 from torchbrdf.precision import HALVES, undisturbed
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.solvers import Status
@@ -53,7 +54,10 @@ def fit(
     """Fit a model to every material of `measured` under a loss.
 
     A material that cannot be fitted (no valid samples, fewer than parameters, a start outside its bounds, an error
-    that is not finite) says so in `status`, with the reason in `reason`, and leaves the others be.
+    that is not finite, a process that died twice over it) says so in `status`, with the reason in `reason`, and leaves
+    the others be.
+
+    It works in threads, or in processes where that is quicker, see [Method](method.md); Ctrl-C ends all of them.
 
     Args:
         model: a sum of lobes with or without a diffuse one; the parameters that it holds, `(k,)` for all materials or
@@ -118,16 +122,16 @@ def fit(
     free_components = [part for k, part in enumerate(model.components()) if k not in held]
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
-    def fit_some(rows: list[int]) -> _Fitted:
+    def fit_some(rows: list[int], some: Measured) -> _Fitted:
         values = take_materials(start, rows)
         part = with_parameters(model, values)
-        whole = _without_idle_weight(loss.problem(measured.batch(rows)))
+        whole = _without_idle_weight(loss.problem(some))
         full = make_objective(part, whole, loss)
         if subset is None:
             task = Task(part, full, None, max_iterations)
         else:
-            some = whole.select(samples=subset.to(measured.device))
-            task = Task(part, make_objective(part, some, loss), full, max_iterations)
+            seen = whole.select(samples=subset.to(some.device))
+            task = Task(part, make_objective(part, seen, loss), full, max_iterations)
         outcome = run(task, values, diffuse == "fit")
         if not isinstance(outcome, Outcome):
             found = type(outcome).__name__
@@ -137,10 +141,11 @@ def fit(
         error = subset_error if subset is None else errors([fitted], whole, [loss])[0, 0]
         return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
 
-    done: list[_Fitted] = []
-    for found in parallel_map(fit_some, measured):
-        done.append(found)
-        progress(sum(len(one.error) for one in done), len(measured))
+    found: list[tuple[list[int], _Fitted | Lost]] = []
+    for rows, one in parallel_map(fit_some, measured):
+        found.append((rows, one))
+        progress(sum(len(rows) for rows, _ in found), len(measured))
+    done = _with_lost(found, start, reasons)
     status = _statuses(done, reasons, free, max_theta)
     found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
     return FitResult(
@@ -179,11 +184,33 @@ class _Fitted(NamedTuple):
     counts: Tensor
 
 
+def _with_lost(
+    found: list[tuple[list[int], _Fitted | Lost]], start: ParameterDict, reasons: dict[int, str]
+) -> list[_Fitted]:
+    """Batches with, in the place of those whose processes died, where they began, without an error; says so."""
+    kept = next((one for _, one in found if isinstance(one, _Fitted)), None)
+    stages = kept.outcome.stages if kept else [Stage("lost", [], [], [])]
+    done = []
+    for rows, one in found:
+        if isinstance(one, Lost):
+            reasons |= dict.fromkeys(rows, one.reason)
+            count = len(rows)
+            nothing, none = torch.full((count,), torch.nan, dtype=torch.float64), torch.zeros(count, dtype=torch.long)
+            lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
+            values = take_materials(start, rows)
+            starts = kept.outcome.starts if kept else 0
+            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none)
+        done.append(one)
+    return done
+
+
 def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta: float) -> list[Status]:
     """How each material's fit ended, with the reason, where it is none, added to `reasons`; free: parameters fitted."""
     status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
     error = torch.cat([found.error for found in done])
     for k, count in enumerate(torch.cat([found.counts for found in done]).tolist()):
+        if status[k] == Status.LOST:
+            continue
         if k in reasons:
             status[k] = Status.BAD_START
         elif count == 0:

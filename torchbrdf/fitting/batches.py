@@ -9,23 +9,34 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.files import locked, write_text
 from torchbrdf.fitting.api import fit
-from torchbrdf.fitting.result import write_fits_csv
+from torchbrdf.fitting.result import fits_csv
 from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, Lobe, model_name, read_fits, write_fits
 from torchbrdf.losses import LOSSES, Loss, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, part_of, quiet
+from torchbrdf.solvers import Status
 
 # Materials of a batch for each core: few enough that little is lost when it is stopped.
 SIZE = 4
+FITS = "fits.json"
+# Seconds; others hold the lock for as long as it takes to write the folder's two files.
+LOCK_WAIT = 60.0
+
+
+def _done(records: dict[str, FitRecord]) -> dict[str, FitRecord]:
+    """Those that need not be made again."""
+    return {name: record for name, record in records.items() if record.status != Status.LOST}
 
 
 class Batches:
     """Fit one model under one loss to any number of materials, with `fits.json` and `fits.csv` in a folder.
 
-    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again.
+    Materials that the folder's `fits.json` holds already, with the same settings, are not fitted again, but those whose
+    process died are. Several processes may add to one folder at the same time.
 
     Args:
         model: Where every fit starts.
@@ -50,11 +61,16 @@ class Batches:
         self, model: Lobe, loss: Loss | Callable[..., Tensor], *, out: Path | None = None, **settings: Any
     ) -> None:
         self.model, self.loss, self.out, self.settings = model, as_loss(loss), out, settings
-        self.done: dict[str, FitRecord] = {}
-        if out is not None and (out / "fits.json").exists():
-            for record in read_fits(out / "fits.json"):
-                self._check(record)
-                self.done[record.material] = record
+        self.stored = self._read()
+
+    def _read(self) -> dict[str, FitRecord]:
+        """What the folder holds, by material."""
+        if self.out is None or not (self.out / FITS).exists():
+            return {}
+        records = read_fits(self.out / FITS)
+        for record in records:
+            self._check(record)
+        return {record.material: record for record in records}
 
     def run(self, groups: Sequence[Measured], progress: Progress = quiet) -> list[FitRecord]:
         """The records of all materials, in their order.
@@ -67,8 +83,9 @@ class Batches:
         if twice and self.out is not None:
             raise DataError(f"{twice[0]}: comes twice; give each file a name of its own")
         found: list[FitRecord] = []
+        before = _done(self.stored)
         for group in groups:
-            left = [k for k, name in enumerate(group.names) if name not in self.done]
+            left = [k for k, name in enumerate(group.names) if name not in before]
             done = len(found) + len(group) - len(left)
             progress(done, len(names))
             size = SIZE * torch.get_num_threads()
@@ -77,16 +94,28 @@ class Batches:
                 rows = left[start : start + size]
                 part = part_of(progress, done + start, len(names))
                 result = fit(self.model, group.batch(rows), self.loss, **self.settings, progress=part)
-                made |= zip(rows, result.records(), strict=True)
-                self._write(made)
-            found += [made[k] if k in made else self.done[name] for k, name in enumerate(group.names)]
+                new = result.records()
+                made |= zip(rows, new, strict=True)
+                self._add(new)
+            found += [made[k] if k in made else before[name] for k, name in enumerate(group.names)]
+        self._add([])
         return found
 
-    def _write(self, made: dict[int, FitRecord]) -> None:
-        if self.out is not None:
-            self.done |= {record.material: record for record in made.values()}
-            write_fits(self.out / "fits.json", list(self.done.values()))
-            write_fits_csv(self.out / "fits.csv", list(self.done.values()))
+    def _add(self, records: list[FitRecord]) -> None:
+        """Write records beside what the folder holds by now: other processes may have added theirs."""
+        if self.out is None:
+            return
+        with locked(self.out, wait=LOCK_WAIT):
+            there = self._read()
+            new = {record.material: record for record in records if record.material not in _done(there)}
+            self.stored = there | {name: one for name, one in self.stored.items() if name not in there} | new
+            kept = list(self.stored.values())
+            if new:
+                write_fits(self.out / FITS, kept)
+            table, text = self.out / "fits.csv", fits_csv(kept)
+            # It is missing, or an old one, where a process was killed before it wrote it.
+            if kept and not (table.exists() and table.read_bytes() == text.encode()):
+                write_text(table, text)
 
     def _check(self, record: FitRecord) -> None:
         model, lobes = model_name(self.model)

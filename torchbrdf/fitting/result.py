@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchbrdf.files import write_csv
+from torchbrdf.files import csv_text, write_text
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, write_fits
 from torchbrdf.solvers import Status
@@ -125,7 +125,12 @@ def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:
         path: The file.
         records: Of fits, of any models.
     """
-    write_csv(path, [_flat(record.to_json()) for record in records])
+    write_text(path, fits_csv(records))
+
+
+def fits_csv(records: Iterable[FitRecord]) -> str:
+    """The text that `write_fits_csv` writes."""
+    return csv_text([_flat(record.to_json()) for record in records])
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

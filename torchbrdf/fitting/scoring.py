@@ -1,6 +1,7 @@
 """Errors of fitted models on every valid sample, and the paper's test for local minima."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TypeVar
 
 import torch
@@ -13,7 +14,7 @@ from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
-from torchbrdf.parallel import process_map, thread_map
+from torchbrdf.parallel import Lost, process_map, thread_map
 from torchbrdf.precision import undisturbed
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
@@ -39,14 +40,20 @@ def material_batches(measured: Measured) -> Iterator[list[int]]:
         yield list(range(first, min(first + size, materials)))
 
 
-def parallel_map(function: Callable[[list[int]], Result], measured: Measured) -> Iterator[Result]:
-    """`function` of batches of materials, on all cores."""
-    run = (
-        process_map
-        if len(measured) * len(measured.pairs) > PROCESS_THRESHOLD and measured.device.type == "cpu"
-        else thread_map
-    )
-    yield from run(function, list(material_batches(measured)))
+def parallel_map(
+    function: Callable[[list[int], Measured], Result], measured: Measured
+) -> Iterator[tuple[list[int], Result | Lost]]:
+    """`function` of batches of materials, their indices and what was measured of them, on all cores."""
+    batches = list(material_batches(measured))
+    large = len(measured) * len(measured.pairs) > PROCESS_THRESHOLD and measured.device.type == "cpu"
+    run = process_map if large else thread_map
+    parts = [(rows, measured.batch(rows)) for rows in batches]
+    yield from zip(batches, run(partial(_apply, function), parts), strict=True)
+
+
+def _apply(function: Callable[[list[int], Measured], Result], batch: tuple[list[int], Measured]) -> Result:
+    rows, part = batch
+    return function(rows, part.batch())  # a view of its own: what it has read goes when the function ends
 
 
 def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
@@ -81,7 +88,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
         losses: L of them.
 
     Returns:
-        The error of each model under each loss, `(L, K, M)`, float64.
+        The error of each model under each loss, `(L, K, M)`, float64; NaN where the process at work on it died twice.
 
     Example:
         >>> from torchbrdf.lobes import make_model
@@ -94,8 +101,7 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
     """
     own = [get_parameters(model) for model in models]
 
-    def score_some(rows: list[int]) -> Tensor:
-        part = measured.batch(rows)
+    def score_some(rows: list[int], part: Measured) -> Tensor:
         fitted = [
             with_parameters(model, take_materials(values, rows)) for model, values in zip(models, own, strict=True)
         ]
@@ -109,7 +115,14 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
                 found[id(loss)] = errors(fitted, loss.problem(part), [loss])[0]
         return torch.stack([found[id(loss)] for loss in losses])
 
-    return torch.cat(list(parallel_map(score_some, measured)), -1)
+    shape = (len(losses), len(models))
+    return torch.cat(
+        [
+            torch.full((*shape, len(rows)), torch.nan, dtype=torch.float64) if isinstance(found, Lost) else found
+            for rows, found in parallel_map(score_some, measured)
+        ],
+        -1,
+    )
 
 
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:

@@ -3,9 +3,9 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -96,6 +96,19 @@ class BrdfFormat(ABC):
         return {}
 
 
+def reopened(source: BrdfFormat) -> tuple[Any, ...]:
+    """How a format is pickled, for `__reduce__`: its files are opened again, and once, where it is unpickled."""
+    paths = tuple(path.absolute() for path in source.paths)
+    stamps = tuple((status.st_mtime_ns, status.st_size) for status in map(Path.stat, paths))
+    return _opened_again, (type(source), paths, stamps)
+
+
+@lru_cache(2)
+def _opened_again(kind: Any, paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...]) -> BrdfFormat:
+    found: BrdfFormat = kind(paths)
+    return found
+
+
 def nearest_samples(source: BrdfFormat, pairs: Pairs, materials: list[int]) -> Lookup:
     """The values of the nearest valid samples, of isotropic materials.
 
@@ -159,6 +172,11 @@ class Samples(BrdfFormat):
         self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs.unsqueeze()
         self.names = list(names) if names is not None else [f"material{k}" for k in range(len(values))]
         self.paths = []
+
+    def select(self, materials: list[int]) -> "Samples":
+        """Some materials, where all share the pairs."""
+        names = [self.names[k] for k in materials]
+        return Samples(self.pairs, self.values[materials], self.weight[materials], names)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -307,6 +325,13 @@ class Measured:
     def _low(pairs: Pairs, max_theta: float) -> Tensor:
         lowest = math.cos(math.radians(max_theta)) - 1e-12
         return (pairs.cos_i >= lowest) & (pairs.cos_o >= lowest)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled without what can be read again, and of values in memory with those of these materials only."""
+        source, materials = self.source, self.materials
+        if isinstance(source, Samples) and source.pairs.shape[0] == 1:
+            source, materials = source.select(materials), list(range(len(materials)))
+        return Measured, (source, materials, self.samples, self.max_theta, self.dtype, self.device)
 
     @cached_property
     def pairs(self) -> Pairs:

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.files import replacing
 from torchbrdf.measured.catalogue import merl_name
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
 from torchbrdf.reading import reading
@@ -67,6 +67,10 @@ class Merl(BrdfFormat):
     def pairs(self) -> Pairs:  # type: ignore[override]
         """Directions of the bins' centres, `(1, N)`."""
         return bin_centers()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as the paths of its files."""
+        return reopened(self)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
+from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
 from torchbrdf.measured.warp import Warp
 from torchbrdf.pairs import Pairs
@@ -129,6 +130,10 @@ class Rgl(BrdfFormat):
         self._files = [RglFile(path) for path in paths]
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as the paths of its files."""
+        return reopened(self)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

@@ -4,6 +4,7 @@ import importlib.resources
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -36,6 +37,10 @@ class StandIn(BrdfFormat):
         ]
         self.pairs = bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as its records."""
+        return StandIn, (self.records, self.paths)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

@@ -44,6 +44,7 @@ class Status(StrEnum):
     NO_DATA = "no_data"
     TOO_FEW_SAMPLES = "too_few_samples"
     BAD_START = "bad_start"
+    LOST = "lost"
 
 
 @dataclass
