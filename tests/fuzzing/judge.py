@@ -6,6 +6,7 @@ import resource
 import shutil
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -34,10 +35,12 @@ class Outcome:
         return self.kind not in (ACCEPTED, REFUSED)
 
 
-def make_input(reader: Reader, valid: Path, folder: Path, seed: int, number: int, others: list[Path]) -> Path:
+def make_input(
+    reader: Reader, valid: Path, folder: Path, seed: int, number: int, other: Callable[[Random], bytes]
+) -> Path:
     """Changed files in a new folder, the same for the same seed and number; gives the path to read.
 
-    Number 0 is the valid file.
+    Number 0 is the valid file; `other` gives that of another reader.
     """
     shutil.copytree(valid, folder)
     path = folder / reader.file
@@ -53,18 +56,18 @@ def make_input(reader: Reader, valid: Path, folder: Path, seed: int, number: int
             return path
     data = path.read_bytes()
     for _ in range(source.choice((1, 1, 1, 2, 3))):
-        data = changed(source, reader, data, others)
+        data = changed(source, reader, data, other)
     path.write_bytes(data)
     return path
 
 
-def changed(source: Random, reader: Reader, data: bytes, others: list[Path]) -> bytes:
+def changed(source: Random, reader: Reader, data: bytes, other: Callable[[Random], bytes]) -> bytes:
     """Bytes after one change that applies to them."""
     general: tuple[Change, ...] = BYTES if reader.is_file else reader.changes
     for _ in range(20):
         if reader.is_file and source.random() < 0.02:
-            other = source.choice(others).read_bytes()
-            return other if source.random() < 0.5 else splice(source, data, other)
+            foreign = other(source)
+            return foreign if source.random() < 0.5 else splice(source, data, foreign)
         change = source.choice(reader.changes if reader.changes and source.random() < 0.75 else general)
         try:
             return change(source, data)

@@ -131,7 +131,10 @@ def _work(pipe: Connection, folder: Path, seconds: int, table: str) -> None:
 
 
 def _answer(known: dict[str, Reader], name: str, folder: Path, seed: int, number: int, seconds: int) -> Outcome:
-    path = made(known, name, folder, seed, number)
+    try:
+        path = made(known, name, folder, seed, number)
+    except Exception as error:  # the fault is in what makes the input, or in what writes a valid file
+        return Outcome("broken", f"{type(error).__name__}: {error}")
     limit_time(seconds)
     try:
         return judge(known[name], path)
@@ -141,10 +144,21 @@ def _answer(known: dict[str, Reader], name: str, folder: Path, seed: int, number
 
 def made(known: dict[str, Reader], name: str, folder: Path, seed: int, number: int) -> Path:
     """The file of an input in `folder/in`; valid files, from which it is made, are kept beside."""
-    others = [_valid(one, folder) / one.file for one in known.values() if one.share > BIG]
     target = folder / "in"
     shutil.rmtree(target, ignore_errors=True)
-    return make_input(known[name], _valid(known[name], folder), target, seed, number, others)
+    small = [one for one in known.values() if one.share > BIG]
+    return make_input(
+        known[name],
+        _valid(known[name], folder),
+        target,
+        seed,
+        number,
+        lambda source: _file(source.choice(small), folder),
+    )
+
+
+def _file(reader: Reader, folder: Path) -> bytes:
+    return (_valid(reader, folder) / reader.file).read_bytes()
 
 
 def _valid(reader: Reader, folder: Path) -> Path:

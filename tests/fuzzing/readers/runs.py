@@ -25,6 +25,9 @@ from torchbrdf.recipe import RECIPES, RunFolder, configure, run
 from torchbrdf.render import Environment, Scene, parse_light, sphere
 
 
+PAIRS = 400
+
+
 @cache
 def _asked() -> BenchmarkData:
     return synthetic_benchmark(questions=60)
@@ -33,13 +36,13 @@ def _asked() -> BenchmarkData:
 @cache
 def _training_data() -> TrainingData:
     losses = {"rms": make_loss("rms", "none")}
-    return published_data(_asked(), uniform_pairs(60).to(dtype=torch.float32), losses, (), synthetic=True)
+    return published_data(_asked(), uniform_pairs(PAIRS).to(dtype=torch.float32), losses, (), synthetic=True)
 
 
 def _train(folder: Path) -> torch.Tensor:
     """The weights that come of answers, in a folder that may have trainings; and that a metric can be made of them."""
     trained = train_metric(
-        _training_data(), RunFolder(folder), repeats=1, iterations=2, replicates=2, samples=60, seed=0
+        _training_data(), RunFolder(folder), repeats=1, iterations=2, replicates=2, samples=PAIRS, seed=0
     )
     weights = {"weights": json.loads(json.dumps(trained.metric["weights"], allow_nan=False))}
     pairs = uniform_pairs(40)
@@ -65,7 +68,7 @@ def use_trainings(path: Path) -> None:
 
 def _score(folder: Path) -> dict[str, torch.Tensor]:
     benchmark = Benchmark(RunFolder(folder), _asked())
-    benchmark.score_values(["rms"], uniform_pairs(60))
+    benchmark.score_values(["rms"], uniform_pairs(PAIRS))
     return {"triplets": benchmark.distances["rms"].triplets, "opinions": benchmark.distances["rms"].opinions}
 
 
