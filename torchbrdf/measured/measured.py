@@ -16,7 +16,9 @@ from torchbrdf.registry import Registry, unknown
 
 Interpolation = Literal["linear", "nearest"]
 
-FORMATS: Registry[type["BrdfFormat"]] = Registry("format", "torchbrdf.measured", "torchbrdf.formats")
+FORMATS: Registry[type["BrdfFormat"]] = Registry(
+    "format", "torchbrdf.measured", "torchbrdf.formats", lambda: BrdfFormat
+)
 
 
 class Lookup(NamedTuple):
