@@ -84,6 +84,20 @@ def reading(path: Path | str, expected: str) -> Iterator[None]:
         raise DataError(f"{path}: expected {expected}, found {reason}") from error
 
 
+def exists(path: Path | str) -> bool:
+    """Whether something is there; nothing is at a path that no file can have, such as one with a NUL.
+
+    Example:
+        >>> from torchbrdf.reading import exists
+        >>> exists(".")
+        True
+    """
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
 def read_bytes(path: Path | str, expected: str) -> bytes:
     """All bytes of a regular file.
 

@@ -73,11 +73,22 @@ def test_power_says_how_many_observers(capsys):
         (["add", "RUN", "x", "--pairs", "ward-rms"], 2, "--pairs: expected a:b,c:d"),
         (["add", "RUN", "x", "--compare", "9"], 2, "compare: expected 2 to 3 of 4 stimuli, found 9"),
         (["export", "RUN"], 1, "torchbrdf study serve"),
-        (["scale", "nowhere.csv"], 1, "cannot be read"),
+        (["scale", "nowhere.csv"], 1, "expected answers, found no such file"),
+        (["scale", "x" * 300], 1, "expected answers, found File name too long"),
+        (["scale", "a\0b"], 1, "expected answers, found no such file"),
+        (["scale", "/dev/zero"], 1, "expected answers, found no regular file"),
         (["scale", "BAD"], 1, "expected a column condition_1"),
         (["scale", "GOOD", "--method", "guess"], 2, "unknown method of scaling 'guess'"),
-        (["simulate", "RUN", "--observers", "0"], 2, "expected at least 1"),
+        (["add", "RUN", "../x"], 1, "experiment: expected a name (one line, no path"),
+        (["add", "RUN", "x", "--catch", "100000"], 2, "expected at most 100000 trials an observer, found 100012"),
+        (["simulate", "RUN", "--observers", "1000000"], 2, "expected at most 83333 with 12 trials each, found 1000000"),
         (["power", "--difference", "0"], 2, "difference"),
+        (["power", "--difference", "1e-300"], 2, "a difference of 1e-300 takes some 1000000000000000 observers"),
+        (
+            ["power", "--difference", "1", "--power", "1e-300"],
+            2,
+            "expected more than alpha, 0.05, and at most 0.999999",
+        ),
     ],
 )
 def test_bad_input_gets_one_line(run, capsys, arguments, status, said):
@@ -87,6 +98,32 @@ def test_bad_input_gets_one_line(run, capsys, arguments, status, said):
     assert main(["study", *(places.get(a, a) for a in arguments)]) == status
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and printed.err.startswith("torchbrdf: ") and said in printed.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["add", "RUN", "x", "--catch", "1000000000"],
+            "--catch: expected a whole number from 0 to 100000, found '1000",
+        ),
+        (["add", "RUN", "x", "--repeats", "-1"], "--repeats: expected a whole number from 0 to 100000, found '-1'"),
+        (["add", "RUN", "x", "--compare", "1.5"], "--compare: expected a whole number from 2"),
+        (["simulate", "RUN", "--observers", "0"], "--observers: expected a whole number from 1"),
+        (["simulate", "RUN", "--noise", "inf"], "--noise: expected a number from 1e-06 to 1e+06, found 'inf'"),
+        (["simulate", "RUN", "--noise", "nan"], "--noise: expected a number from 1e-06 to 1e+06, found 'nan'"),
+        (["simulate", "RUN", "--seed", "1" * 23], "--seed: expected a whole number from 0 to 9223372036854775807"),
+        (["scale", "RUN", "--seed", "-1"], "--seed: expected a whole number from 0"),
+        (["power", "--difference", "nan"], "--difference: expected a number from -10 to 10, found 'nan'"),
+        (["power", "--difference", "1", "--stimuli", "3001"], "--stimuli: expected a whole number from 2 to 1000"),
+        (["power", "--difference", "1", "--alpha", "0"], "--alpha: expected a number from 1e-06 to 0.5, found '0'"),
+    ],
+)
+def test_options_out_of_bounds_get_one_line(capsys, arguments, said):
+    with pytest.raises(SystemExit) as caught:
+        main(["study", *arguments])
+    printed = capsys.readouterr().err
+    assert caught.value.code == 2 and said in printed and printed.count("\n") == 1 and len(printed) <= 300
 
 
 def test_help_of_the_study_teaches(capsys):

@@ -1,6 +1,8 @@
 """Scales beside published values, closed forms and scipy's maximum of the same likelihood."""
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -339,3 +341,28 @@ def test_simulated_answers_have_the_chances_of_the_model():
     wins = simulated_wins(scale_values, compared, torch.Generator().manual_seed(0))
     assert torch.equal(wins + wins.mT, compared)
     assert wins[0, 1].item() / 400_000 == pytest.approx(stats.norm.cdf(1), abs=0.003)
+
+
+def test_what_would_take_days_or_all_memory_is_refused(monkeypatch):
+    names = [f"s{k}" for k in range(3001)]
+    answers = [Answer("o", "", "m", left, right, left) for left, right in itertools.pairwise(names)]
+    comparisons = Comparisons.from_answers(answers)
+    with pytest.raises(UsageError, match="expected at most 669 stimuli with 1 materials, 1 observers and 1000 draws"):
+        scale(comparisons)
+    with pytest.raises(UsageError, match="expected at most"):
+        scale(comparisons, draws=-1)
+    many = [replace(answer, observer=f"o{k}") for k in range(20) for answer in answers]
+    with pytest.raises(
+        DataError, match="expected at most 1073741824 bytes of counts, found 1440960160: 20"
+    ):
+        Comparisons.from_answers(many)
+    monkeypatch.setenv("TORCHBRDF_MAX_BYTES", "1000")
+    with pytest.raises(DataError, match="expected at most 1000 bytes of counts"):
+        Comparisons.from_answers(answers[:20])
+
+
+def test_a_scale_says_how_far_it_is():
+    answers = [Answer(f"o{k}", "", "m", "a", "b", "ab"[k % 2]) for k in range(5)]
+    said = []
+    scale(Comparisons.from_answers(answers), draws=7, progress=lambda done, total: said.append((done, total)))
+    assert said[-1] == (14, 14) and said == sorted(said)

@@ -1,5 +1,7 @@
 """Plans, trials and answers: what is asked, in which order, and how answers are kept."""
 
+import json
+import os
 from collections import Counter
 from itertools import combinations
 
@@ -136,11 +138,30 @@ def test_chosen_pairs_only():
         ({"compare": 2, "pairs": (("ward-rms", "cook-rms"),)}, "expected pairs or compare, found both"),
         ({"repeats": -1}, "repeats: expected 0 to 100000, found -1"),
         ({"stimuli": ("ward-rms",)}, "stimuli: expected two or more"),
+        ({"catch": 10**9}, "catch: expected 0 to 100000, found 1000000000"),
+        ({"repeats": 10**400}, "repeats: expected 0 to 100000, found 1000000000 ... 00000"),
+        ({"repeats": 99_999}, "at most 100000 trials an observer, found 100359: 36 pairs of 10 materials; `compare`"),
     ],
 )
 def test_experiments_that_cannot_be_are_refused(more, said):
     with pytest.raises(UsageError, match=said):
         made(**more)
+
+
+def test_3001_stimuli_are_compared_with_a_few_others_each_or_not_at_all():
+    names = tuple(f"s{k}" for k in range(3001))
+    with pytest.raises(UsageError, match="expected at most 100000 trials an observer, found 4501500"):
+        made(names, 1)
+    plan = made(names, 1, compare=4)
+    assert len(asked(plan, 0)) == plan.experiments[0].pair_count == 6002
+
+
+@given(st.integers(3, 12), st.data())
+def test_pairs_are_counted_before_they_are_made(count, data):
+    names = tuple(f"s{k}" for k in range(count))
+    compare = data.draw(st.one_of(st.none(), st.integers(2, count - 1)))
+    plan = made(names, 1, compare=compare)
+    assert len(asked(plan, 0)) == plan.experiments[0].pair_count
 
 
 def test_plans_that_cannot_be_are_refused():
@@ -188,7 +209,71 @@ def test_a_plan_shows_only_pictures_of_its_folder(folder):
         Plan.load(folder)
 
 
-@given(text=st.one_of(st.text(), st.sampled_from(["[]", "{}", '{"materials": 3}', "null", '{"materials": [{}]}'])))
+@pytest.mark.parametrize(
+    ("where", "value", "said"),
+    [
+        (("seed",), 10**400, "seed: expected at most 1e+32, found"),
+        (("seed",), 1.5, "expected `int`, got `float` - at `$.seed`"),
+        (("mark",), None, "expected `str`, got `null` - at `$.mark`"),
+        (("texts",), {"title": None}, "expected `str`, got `null` - at `$.texts"),
+        (("texts",), {"title": "a\0b"}, "text 'title': expected printable lines, found 'a\\x00b'"),
+        (("texts",), {"titel": "x"}, "unknown text of a study 'titel'; expected one of"),
+        (("screening",), {"color": ["normal"]}, "unknown self-report to screen by 'color'; expected one of acuity"),
+        (("screening",), {"room": ["bleak"]}, "unknown answer to room 'bleak'; expected one of bright, dark, dim"),
+        (("colour",), 1, "unknown key of a plan 'colour'; expected one of experiments, mark"),
+        (("materials", 0, "a\nb"), 1, "unknown key of materials[0] 'a\\nb'; expected one of name, order, reference"),
+        (("materials", 0, "name"), "../m", "expected a name (one line, no path, at most 200 bytes), found '../m'"),
+        (("materials", 0, "order"), 1e300, "order: expected a number up to 1e+12, found 1e+300"),
+        (("materials", 1, "reference"), "m\0.png", "reference: expected one printable line, found 'm\\x00.png'"),
+        (("materials", 1, "reference"), "x" * 5000, "expected a picture's path in"),
+        (
+            ("materials", 1, "stimuli", "ward-rms", "los"),
+            "rms",
+            "unknown key of materials[1].stimuli['ward-rms'] 'los'",
+        ),
+        (("materials", 1, "stimuli", "ward-rms", "outlier"), 1, "expected `bool`, got `int`"),
+        (("materials", 1, "stimuli", "ward-rms", "difference"), 1e300, "difference: expected a number up to 1e+12"),
+        (("experiments", 0, "catch"), 10**30, "catch: expected 0 to 100000, found"),
+        (("experiments", 0, "pairs"), [["ward-rms"]], "expected `array` of length 2"),
+        (("experiments", 0, "name"), "a/b", "experiment: expected a name"),
+        (("experiments", 0, "title"), "a\nb", "title: expected one printable line, found 'a\\nb'"),
+        (("experiments",), {}, "expected `array`, got `object` - at `$.experiments`"),
+    ],
+)
+def test_what_a_plan_cannot_hold_is_named_with_the_file(folder, where, value, said):
+    made(materials=2).save(folder)
+    record = json.loads((folder / "study.json").read_text())
+    *parents, last = where
+    place = record
+    for step in parents:
+        place = place[step]
+    place[last] = value
+    (folder / "study.json").write_text(json.dumps(record))
+    with pytest.raises(DataError, match=r"study\.json: ") as caught:
+        Plan.load(folder)
+    assert said in str(caught.value) and len(str(caught.value)) <= 300
+
+
+def test_pictures_that_lead_nowhere_are_named(folder):
+    made(materials=2).save(folder)
+    (folder / "m0-turned.png").unlink()
+    os.mkfifo(folder / "m0-turned.png")
+    with pytest.raises(DataError, match=r"study\.json: m0-turned\.png: no such picture"):
+        Plan.load(folder)
+    (folder / "m0-turned.png").unlink()
+    (folder / "m0-turned.png").symlink_to("m0-turned.png")
+    with pytest.raises(DataError, match=r"study\.json: "):
+        Plan.load(folder)
+
+
+@given(
+    text=st.one_of(
+        st.text(),
+        st.sampled_from(
+            ["[" * 100_000, '{"seed": "\\ud800"}', "[]", "{}", '{"materials": 3}', "null", '{"materials": [{}]}']
+        ),
+    )
+)
 def test_no_text_makes_a_plan_fail_in_another_way(text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     (folder / "study.json").write_text(text, encoding="utf-8", errors="replace")

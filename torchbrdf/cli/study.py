@@ -219,18 +219,20 @@ def export_command(options: Options) -> int:
 def scale_command(options: Options) -> int:
     """`torchbrdf study scale`."""
     from torchbrdf.files import writable
+    from torchbrdf.reading import exists
     from torchbrdf.report.observers import write_scales
     from torchbrdf.study import Plan, read_answers
     from torchbrdf.study.plan import PLAN
 
     source = Path(options.answers)
-    folder = source if source.is_dir() else source.parent
-    if source.is_dir():
+    served = exists(source) and source.is_dir()
+    folder = source if served else source.parent
+    if served:
         with _store_of(source) as store:
             answers = store.answers()
     else:
         answers = read_answers(source)
-    plan = Plan.load(folder) if (folder / PLAN).exists() else None
+    plan = Plan.load(folder) if exists(folder / PLAN) else None
     out = writable(Path(options.out) if options.out else folder / "scales")
     settings = {"method": options.method, "seed": options.seed, "source": source.name}
     for line in write_scales(out, answers, plan, **settings, progress=progress_bar("draws")):
@@ -264,11 +266,12 @@ def _experiment(options: Options) -> tuple["Plan", str]:
 
 def _store_of(run: Path) -> "closing[Store]":
     """A run's database, open for a block."""
+    from torchbrdf.reading import exists
     from torchbrdf.study import Plan
     from torchbrdf.study.store import STORE, Store
 
     path = run / STORE
-    if not path.is_file():
+    if not exists(path):
         raise DataError(f"{path}: no such file; `torchbrdf study serve {run}` begins one")
     return closing(Store(path, Plan.load(run)))
 

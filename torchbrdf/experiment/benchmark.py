@@ -21,7 +21,7 @@ from torchbrdf.perception import (
     score_opinions,
     score_triplets,
 )
-from torchbrdf.reading import read_npz, write_npz
+from torchbrdf.reading import exists, read_npz, write_npz
 from torchbrdf.recipe import RunFolder
 from torchbrdf.render import RenderedLoss, Scene
 
@@ -119,7 +119,7 @@ def read_distances(path: Path, materials: int, rows: int) -> Distances | None:
     Raises:
         DataError: The file was changed or damaged; says that it may be removed.
     """
-    if not path.exists():
+    if not exists(path):
         return None
     expected = "the distances of a loss (remove it to score again)"
     parts = read_npz(path, expected)

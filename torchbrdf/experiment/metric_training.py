@@ -38,7 +38,7 @@ from torchbrdf.perception.learning.training_set import (
     training_set_from_choices,
 )
 from torchbrdf.progress import Progress
-from torchbrdf.reading import read_json, read_npz, write_npz
+from torchbrdf.reading import exists, read_json, read_npz, write_npz
 from torchbrdf.recipe import RunFolder
 from torchbrdf.study import MEASURED, Answer, read_answers, simulated
 
@@ -300,7 +300,7 @@ def _trained(
 ) -> History:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
-    if path.exists():
+    if exists(path):
         history = read_training(path, iterations, training_set.features.shape[1])
     else:
         history = train(training_set, split, iterations)

@@ -9,7 +9,7 @@ from typing import Any
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.files import write_json
 from torchbrdf.names import check_name, is_one_line
-from torchbrdf.reading import read_json, reading
+from torchbrdf.reading import exists, read_json, reading
 from torchbrdf.registry import unknown
 
 PLAN = "study.json"
@@ -270,7 +270,7 @@ class Plan:
             DataError: Says what is not as expected, or which picture is missing.
         """
         path = Path(folder) / PLAN
-        if not path.exists():
+        if not exists(path):
             raise DataError(f"{path}: cannot be read (no such file); run a recipe such as fores2012 first")
         record: dict[str, Any] = read_json(path, dict[str, Any], EXPECTED)
         try:
@@ -302,7 +302,11 @@ def _plan_of(record: dict[str, Any]) -> Plan:
                 for key, what in stimuli.items():
                     if isinstance(what, dict):
                         _check_keys(what, Stimulus, f"{name}[{k}].stimuli[{shown(key, 30)}]")
-    return msgspec.convert(record, Plan)
+    try:
+        return msgspec.convert(record, Plan)
+    except msgspec.ValidationError as error:
+        reason = str(error)
+        raise UsageError(f"{EXPECTED}: {reason[:1].lower()}{reason[1:]}") from None
 
 
 def _entries(value: Any) -> list[dict[str, Any]]:

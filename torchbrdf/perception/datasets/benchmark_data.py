@@ -10,6 +10,7 @@ from torchbrdf.perception.datasets.factors import FACTORS, read_factors
 from torchbrdf.perception.datasets.opinions import read_opinions
 from torchbrdf.perception.datasets.published import read_published
 from torchbrdf.perception.datasets.triplets import read_triplets
+from torchbrdf.reading import exists
 
 
 def read_benchmark_data(
@@ -29,10 +30,10 @@ def read_benchmark_data(
         DataError: A file is missing, and where it comes from, or bad.
     """
     folder = Path(human)
-    parameters, tables = (path if path.is_file() else folder / path for path in map(Path, (fits, factors)))
+    parameters, tables = (Path(path) if exists(path) else folder / path for path in (fits, factors))
     sets = read_published(parameters, dtype=torch.float64)
     models: dict[str, Approximation] = {method: sets[name] for method, name in METHODS.items() if name in sets}
-    if tables.is_file():
+    if exists(tables):
         models[FACTORS] = read_factors(tables)
     triplet_answers, opined = read_triplets(folder / triplets), read_opinions(folder / opinions)
     measured = load(materials)

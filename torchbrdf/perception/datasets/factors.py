@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.pairs import Pairs
+from torchbrdf.reading import exists, read_bytes
 
 SOURCE = (
     "the factors of M. Bagher, J. Snyder and D. Nowrouzezahrai, A Non-Parametric Factor Microfacet Model for Isotropic "
@@ -98,13 +99,13 @@ def read_factors(path: Path | str) -> FactorFits:
         DataError: The file is missing, has another size, or holds impossible factors.
     """
     path = Path(path)
-    if not path.is_file():
+    if not exists(path):
         raise DataError(f"{path}: no such file; expected {SOURCE}")
-    size = 4 * math.prod(SHAPE)
-    if path.stat().st_size != size:
-        raise DataError(f"{path}: expected {size} bytes, found {path.stat().st_size}")
+    size, data = 4 * math.prod(SHAPE), read_bytes(path, "non-parametric factors")
+    if len(data) != size:
+        raise DataError(f"{path}: expected {size} bytes, found {len(data)}")
     names = sorted(MERL_NAMES, key=lambda name: name.replace("-", "") + "binary")
-    rows = torch.from_numpy(np.fromfile(path, "<f4").reshape(SHAPE)[: len(names), : 2 + 3 * FACTOR_BINS].copy())
+    rows = torch.from_numpy(np.frombuffer(data, "<f4").reshape(SHAPE)[: len(names), : 2 + 3 * FACTOR_BINS].copy())
     bad = (~rows.isfinite().all(2).all(1) | (rows < 0).flatten(1).any(1) | ~rows.flatten(1).any(1)).nonzero()
     if len(bad):
         row = int(bad[0, 0])

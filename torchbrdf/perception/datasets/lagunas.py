@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.perception.datasets.matlab import read_matrices
+from torchbrdf.reading import exists
 
 TABLE_LOSSES = {"rms": "rms", "rms_cos": "cosine_rms", "rms_cos_cube": "cube_root"}
 """Names in the file, and the losses that they are: of their own grid of directions, on MERL's measured tables."""
@@ -25,7 +26,7 @@ def read_lagunas(path: Path | str, materials: int = 100) -> dict[str, Tensor]:
     Source: M. Lagunas et al., A similarity measure for material appearance, 2019, doi:10.1145/3306346.3323036.
     """
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise DataError(f"{path}: no such file; expected distances of MERL's tables by Lagunas et al. 2019")
     names = (*TABLE_LOSSES, *PICTURE_DISTANCES)
     found = read_matrices(path, names)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.names import check_name
-from torchbrdf.reading import read_text
+from torchbrdf.reading import exists, read_text
 
 SOURCE = (
     "the opinions of Lavoue, Bonneel, Farrugia and Soler 2021, Perceptual quality of BRDF approximations: dataset and "
@@ -68,7 +68,7 @@ def read_opinions(path: Path | str) -> Opinions:
         DataError: The file is missing, or a line is not as expected.
     """
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise DataError(f"{path}: no such file; expected {SOURCE}")
     text = read_text(path, "opinions")
     try:

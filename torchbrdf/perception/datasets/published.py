@@ -18,7 +18,7 @@ from torchbrdf.lobes import LOBES, Lambert, Sum
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.measured.merl import CHANNEL_FACTORS
 from torchbrdf.names import check_name
-from torchbrdf.reading import read_json
+from torchbrdf.reading import exists, read_json
 
 ORIGIN = "the fits of https://github.com/bsdfbenchmark/bbm, folder fits/, collected as one JSON file"
 NGAN = "A. Ngan, F. Durand and W. Matusik, Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126"
@@ -180,7 +180,7 @@ def read_published(
         DataError: The file is missing or holds something else; a field is missing, odd, or not finite.
     """
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise DataError(f"{path}: no such file; expected {ORIGIN}")
     content: dict[str, Any] = read_json(path, dict[str, Any], ORIGIN)
     known = {name: content[name] for name in SETS if name in content}

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.catalogue import MERL_SHA256
-from torchbrdf.reading import read_json
+from torchbrdf.reading import exists, read_json
 
 SOURCE = (
     "the answers of Lagunas et al. 2019, A similarity measure for material appearance, doi:10.1145/3306346.3323036, "
@@ -88,7 +88,7 @@ def read_triplets(path: Path | str, materials: Sequence[str] | None = None) -> T
     """
     names = file_order(list(MERL_SHA256)) if materials is None else list(materials)
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise DataError(f"{path}: no such file; expected {SOURCE}")
     data: _File = read_json(path, _File, "answers to triplets and their agreement")
     if len(data.answers) != len(data.agreement):
