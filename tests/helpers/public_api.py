@@ -4,9 +4,9 @@ import warnings
 from pathlib import Path
 
 import torch
-from helpers.directions import hemisphere
 from torch import Tensor
 
+from helpers.directions import hemisphere
 from torchbrdf import Pairs, fit, load
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.fitting import STRATEGIES, SlowFitWarning, score
