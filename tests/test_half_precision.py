@@ -83,8 +83,8 @@ def test_pairs(dtype: torch.dtype) -> None:
 def test_losses(name: str, dtype: torch.dtype) -> None:
     pairs = Pairs.from_directions(*directions(dtype))
     target = (10 ** (4 * torch.rand(2, 60, 3, generator=torch.Generator().manual_seed(0)))).to(dtype)
-    found = LOSSES[name]("none")(1.5 * target, target, pairs)
-    expected = LOSSES[name]("none")((1.5 * target).float(), target.float(), pairs.widened())
+    found = LOSSES[name](reduction="none")(1.5 * target, target, pairs)
+    expected = LOSSES[name](reduction="none")((1.5 * target).float(), target.float(), pairs.widened())
     assert found.dtype == dtype and found.isfinite().all()
     torch.testing.assert_close(found, expected.to(dtype), rtol=0, atol=0)
 

@@ -47,8 +47,8 @@ def safe_norm(vectors: Tensor, dim: int = -1) -> Tensor:
 def safe_ratio(numerator: Tensor | float, denominator: Tensor) -> Tensor:
     """A quotient of numbers of at least 0, with gradient 0 where it is so large that its own could overflow.
 
-    That is where the denominator is below tiny^0.4, 7e-16 in float32, or the quotient above its reciprocal. A denominator of 0 counts
-    as the smallest normal number, so that the quotient stays finite or honestly huge.
+    That is where the denominator is below tiny^0.4, 7e-16 in float32, or the quotient above its reciprocal. A
+    denominator of 0 counts as the smallest normal number, so that the quotient stays finite or honestly huge.
 
     Args:
         numerator: at least 0, any shape.
