@@ -398,15 +398,17 @@ class Pairs:
             >>> from torchbrdf import Pairs
             >>> half = Pairs.from_directions(*torch.tensor([[[0.6, 0.0, 0.8]], [[0.0, 0.6, 0.8]]]).half())
             >>> half.tan2_h, half.widened().tan2_h
-            (tensor([0.2812], dtype=torch.float16), tensor([0.2813]))
+            (tensor([0.2815], dtype=torch.float16), tensor([0.2815]))
         """
         if not any(value.dtype in HALVES for value in self._known.values()):
             return self
         wide = self.to(dtype=torch.float32)
         known = wide._known
-        if "wi" in known and "wo" in known:
+        # What was given comes first, and what was derived of it later.
+        given = next((name for name in known if name in ("wi", "theta_h")), "")
+        if given == "wi" and "wo" in known:
             return Pairs.from_directions(known["wi"], known["wo"])
-        if "theta_h" in known and "theta_d" in known and "phi_d" in known:
+        if given == "theta_h" and "theta_d" in known and "phi_d" in known:
             return Pairs.from_half_diff(known["theta_h"], known["theta_d"], known["phi_d"])
         wide._cached = {}
         return wide

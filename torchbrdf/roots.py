@@ -20,6 +20,8 @@ def safe_sqrt(x: Tensor) -> Tensor:
         >>> x.grad
         tensor([0.2500, 0.0000])
     """
+    if not x.requires_grad:
+        return x.sqrt()
     none = x == 0
     return torch.where(none, 0, torch.where(none, 1, x).sqrt())
 
@@ -42,10 +44,11 @@ def safe_norm(vectors: Tensor, dim: int = -1) -> Tensor:
     return safe_sqrt(vectors.square().sum(dim))
 
 
-def safe_ratio(numerator: Tensor, denominator: Tensor) -> Tensor:
-    """A quotient of numbers of at least 0, with gradient 0 where it is so large that its own would overflow.
+def safe_ratio(numerator: Tensor | float, denominator: Tensor) -> Tensor:
+    """A quotient of numbers of at least 0, with gradient 0 where it is so large that its own could overflow.
 
-    A denominator of 0 counts as the smallest normal number, so that the quotient stays finite or honestly huge.
+    That is where the denominator is below tiny^0.4, 7e-16 in float32, or the quotient above its reciprocal. A
+    denominator of 0 counts as the smallest normal number, so that the quotient stays finite or honestly huge.
 
     Args:
         numerator: at least 0, any shape.
@@ -59,8 +62,10 @@ def safe_ratio(numerator: Tensor, denominator: Tensor) -> Tensor:
         >>> safe_ratio(torch.tensor([3.0, 0.0]), torch.tensor([2.0, 0.0]))
         tensor([1.5000, 0.0000])
     """
-    limits = torch.finfo(denominator.dtype)
-    steep = denominator <= numerator * limits.tiny**0.5
-    steep = steep | (denominator < limits.tiny**0.5)
-    value = numerator / torch.where(denominator < limits.tiny, limits.tiny, denominator)
+    tiny = torch.finfo(denominator.dtype).tiny
+    value = numerator / torch.where(denominator < tiny, tiny, denominator)
+    if not value.requires_grad:
+        return value
+    least = tiny**0.4
+    steep = (denominator < least) | (denominator <= numerator * least)
     return torch.where(steep, value.detach(), numerator / torch.where(steep, 1, denominator))

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.pairs import Pairs
+from torchbrdf.roots import safe_ratio
 
 # Below this a cosine no longer changes a quotient: keeps grazing values and gradients finite in float32.
 COSINE_FLOOR = 1e-10
@@ -64,9 +65,8 @@ def v_groove(pairs: Pairs) -> Tensor:
 
     def make() -> Tensor:
         cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-        # One cosine after the other: the gradient of a quotient has the square of what is divided by.
-        masked = 2 * clamp_cosine(pairs.cos_h) / clamp_cosine(pairs.cos_d) / torch.maximum(cos_i, cos_o)
-        return torch.minimum(1 / cos_i / cos_o, masked)
+        masked = safe_ratio(2 * clamp_cosine(pairs.cos_h), clamp_cosine(pairs.cos_d) * torch.maximum(cos_i, cos_o))
+        return torch.minimum(safe_ratio(1, cos_i * cos_o), masked)
 
     return pairs.cached(v_groove, make)
 

@@ -10,6 +10,7 @@ from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.pairs import Pairs
+from torchbrdf.roots import safe_ratio
 
 
 @half_in_float32
@@ -47,7 +48,7 @@ def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
 
     def geometry() -> Tensor:
         highest = torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)
-        return 1 / (8 * math.pi) / clamp_cosine(pairs.cos_d) / highest
+        return safe_ratio(1, clamp_cosine(pairs.cos_d) * highest) / (8 * math.pi)
 
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
     return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached(_power, geometry) * (exponent + 1))
