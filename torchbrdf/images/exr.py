@@ -66,9 +66,9 @@ def _colours(path: Path, header: Header) -> tuple[str, ...]:
         if channel.name in names:
             if channel.kind == "uint":
                 raise DataError(f"{path}: expected half or float channels, found whole numbers in {channel.name}")
-            most = 2 if channel.name in ("RY", "BY") else 1
-            if max(channel.step) > most:
-                raise DataError(f"{path}: expected {channel.name} in every pixel, found one in {channel.step} pixels")
+            across, down = channel.step
+            if max(across, down) > (2 if channel.name in ("RY", "BY") else 1):
+                raise DataError(f"{path}: expected {channel.name} in every pixel, found one in {across} x {down}")
     return names
 
 
@@ -84,7 +84,7 @@ def _planes(path: Path, data: bytes, header: Header) -> Mapping[str, np.ndarray]
     for channel in header.channels:
         shape = header.data_window.shape(channel.step)
         if channel.name not in planes or planes[channel.name].shape != shape:
-            raise DataError(f"{path}: expected a whole OpenEXR picture, found {said or 'other sizes'}")
+            raise DataError(f"{path}: expected a whole OpenEXR picture, found {said.reason or 'other sizes'}")
     return planes
 
 
@@ -97,8 +97,10 @@ class _Messages(io.TextIOBase):
     def __init__(self, beside: Any) -> None:
         self.thread, self.beside, self.text = threading.get_ident(), beside, ""
 
-    def __str__(self) -> str:
-        return self.text
+    @property
+    def reason(self) -> str:
+        """Without the sentence that the library puts before it."""
+        return self.text.rpartition(" - ")[2]
 
     def write(self, text: str) -> int:
         if threading.get_ident() != self.thread:

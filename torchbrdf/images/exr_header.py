@@ -80,9 +80,10 @@ class Header:
 
     @property
     def unpacked(self) -> int:
-        """Bytes of all channels, and of the picture as it is returned."""
+        """Bytes of all channels, or of the picture that is returned, whichever are more."""
         stored = sum(channel.size * math.prod(self.data_window.shape(channel.step)) for channel in self.channels)
-        return stored + 12 * (math.prod(self.data_window.shape()) + math.prod(self.display_window.shape()))
+        returned = 12 * max(math.prod(self.data_window.shape()), math.prod(self.display_window.shape()))
+        return max(stored, returned)
 
 
 def read_header(path: Path, data: bytes) -> Header:
@@ -140,9 +141,7 @@ def _understood(path: Path, part: Attributes, flags: int) -> Header:
     if not abs(aspect - 1) <= 1e-3:
         raise DataError(f"{path}: expected square pixels, found pixelAspectRatio {aspect:g}")
     if part.get("envmap", b"\0") != b"\0":
-        raise DataError(
-            f"{path}: expected a picture of latitude and longitude, found envmap {part['envmap'][:4]!r} (1: a cube)"
-        )
+        raise DataError(f"{path}: expected a flat picture or one of latitude and longitude, found a cube (envmap)")
     views = _texts(part.get("multiView", b""))
     if len(views) > 1:
         raise DataError(f"{path}: expected one view, found multiView {shown(views)}")
