@@ -17,6 +17,7 @@ import numpy as np
 import OpenEXR
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.images.exr_chunks import check_chunks
 from torchbrdf.images.exr_header import Header, Window, read_header
 from torchbrdf.images.primaries import XYZ, converted, luminance_weights, to_rec709
 from torchbrdf.reading import check_unpacked, reading
@@ -30,6 +31,7 @@ def read_exr(path: Path, data: bytes) -> np.ndarray:
     header = read_header(path, data)
     names = _colours(path, header)
     check_unpacked(path, header.unpacked)
+    check_chunks(path, data, header)
     planes = _planes(path, data, header)
     with np.errstate(over="ignore", invalid="ignore"):  # a file may hold all that a float can be
         if names == ("Y",):
