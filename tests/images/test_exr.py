@@ -3,7 +3,9 @@
 import logging
 import random
 import struct
+import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -278,7 +280,7 @@ def test_chunks_that_are_missing_are_counted(tmp_path: Path, kind: object) -> No
     whole = path.read_bytes()
     assert read_image(path).shape == (90, 40, 3)
     path.write_bytes(whole[:-1])
-    with pytest.raises(DataError, match="found 1 of 6 parts of it missing or cut off"):
+    with pytest.raises(DataError, match="found 1 of 6 chunks missing or cut off"):
         read_image(path)
 
 
@@ -290,6 +292,17 @@ def test_pixels_that_do_not_unpack_are_refused(tmp_path: Path, capsys: pytest.Ca
     with pytest.raises(DataError, match="expected a whole OpenEXR picture, found Unable to run decoder"):
         read_image(path)
     assert capsys.readouterr().out == ""  # where the library prints what it does not raise
+
+
+def test_reading_in_threads_leaves_what_others_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, before = write(tmp_path, planes(picture())), sys.stdout
+    with ThreadPoolExecutor(4) as pool:
+        done = [pool.submit(read_image, path) for _ in range(100)]
+        for number in range(1000):
+            print(number)
+        assert all(np.array_equal(one.result().numpy(), picture()) for one in done)
+    assert sys.stdout is before
+    assert capsys.readouterr().out.split() == [str(number) for number in range(1000)]
 
 
 @pytest.mark.parametrize(

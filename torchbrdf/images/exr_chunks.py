@@ -42,7 +42,7 @@ def check_chunks(path: Path, data: bytes, header: Header) -> None:
         missing = count - int(there.sum())
     if missing:
         raise DataError(
-            f"{path}: expected a whole OpenEXR picture, found {missing} of {count} parts of it missing or cut off"
+            f"{path}: expected a whole OpenEXR picture, found {missing} of {count} chunks missing or cut off"
         )
 
 
