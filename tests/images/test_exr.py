@@ -3,7 +3,9 @@
 import logging
 import random
 import struct
+import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -262,13 +264,45 @@ def test_white_luminance_is_spoken_of(tmp_path: Path, caplog: pytest.LogCaptureF
 
 
 @pytest.mark.parametrize("length", [4, 8, 40, 200, 400])
-def test_truncated_files_are_refused(tmp_path: Path, length: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_truncated_files_are_refused(tmp_path: Path, length: int, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "picture.exr"
-    write_exr(path, torch.rand(32, 32, 3))
+    write_exr(path, torch.rand(90, 32, 3))
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(DataError, match=r"expected an? .*OpenEXR picture"):
         read_image(path)
+    assert capfd.readouterr() == ("", "")  # the library would print a line for each chunk that it misses
+
+
+@pytest.mark.parametrize("kind", [OpenEXR.scanlineimage, OpenEXR.tiledimage])
+def test_chunks_that_are_missing_are_counted(tmp_path: Path, kind: object) -> None:
+    header = {"type": kind, **({"tiles": OpenEXR.TileDescription()} if kind == OpenEXR.tiledimage else {})}
+    path = write(tmp_path, planes(picture(90, 40)), **header)
+    whole = path.read_bytes()
+    assert read_image(path).shape == (90, 40, 3)
+    path.write_bytes(whole[:-1])
+    with pytest.raises(DataError, match="found 1 of 6 chunks missing or cut off"):
+        read_image(path)
+
+
+def test_pixels_that_do_not_unpack_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path, planes(np.tile(picture(9, 40), (10, 1, 1))))
+    data = bytearray(path.read_bytes())
+    data[-300:-200] = bytes(100)
+    path.write_bytes(data)
+    with pytest.raises(DataError, match="expected a whole OpenEXR picture, found Unable to run decoder"):
+        read_image(path)
     assert capsys.readouterr().out == ""  # where the library prints what it does not raise
+
+
+def test_reading_in_threads_leaves_what_others_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, before = write(tmp_path, planes(picture())), sys.stdout
+    with ThreadPoolExecutor(4) as pool:
+        done = [pool.submit(read_image, path) for _ in range(100)]
+        for number in range(1000):
+            print(number)
+        assert all(np.array_equal(one.result().numpy(), picture()) for one in done)
+    assert sys.stdout is before
+    assert capsys.readouterr().out.split() == [str(number) for number in range(1000)]
 
 
 @pytest.mark.parametrize(
@@ -299,7 +333,7 @@ def test_sizes_are_looked_at_before_the_library_believes_them(
 
 def test_the_limit_of_what_is_unpacked_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "picture.exr"
-    write_exr(path, torch.zeros(300, 300, 3))
+    write_exr(path, torch.zeros(300, 300, 3))  # 1,080,000 bytes
     assert path.stat().st_size < 10_000
     monkeypatch.setenv("TORCHBRDF_MAX_BYTES", "1000000")
     with pytest.raises(DataError, match="at most 1000000 bytes unpacked"):

@@ -114,8 +114,9 @@ def test_tone_map_is_frozen_and_recorded() -> None:
     other = ToneMap.from_images(pictures(), key=0.3, phi=8.0)
     assert other.phi == 8.0
     assert torch.equal(other(pictures()), tone(pictures()))
-    with pytest.raises(UsageError, match="gamma"):
-        ToneMap.from_images(pictures(), gamma=0)
+    for gamma in (0, math.nan, math.inf, 1e200):
+        with pytest.raises(UsageError, match="gamma"):
+            ToneMap.from_images(pictures(), gamma=gamma)
 
 
 def test_tone_map_has_finite_gradients_everywhere() -> None:

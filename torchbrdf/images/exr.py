@@ -17,6 +17,7 @@ import numpy as np
 import OpenEXR
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.images.exr_chunks import check_chunks
 from torchbrdf.images.exr_header import Header, Window, read_header
 from torchbrdf.images.primaries import XYZ, converted, luminance_weights, to_rec709
 from torchbrdf.reading import check_unpacked, reading
@@ -30,6 +31,7 @@ def read_exr(path: Path, data: bytes) -> np.ndarray:
     header = read_header(path, data)
     names = _colours(path, header)
     check_unpacked(path, header.unpacked)
+    check_chunks(path, data, header)
     planes = _planes(path, data, header)
     with np.errstate(over="ignore", invalid="ignore"):  # a file may hold all that a float can be
         if names == ("Y",):
@@ -66,9 +68,9 @@ def _colours(path: Path, header: Header) -> tuple[str, ...]:
         if channel.name in names:
             if channel.kind == "uint":
                 raise DataError(f"{path}: expected half or float channels, found whole numbers in {channel.name}")
-            most = 2 if channel.name in ("RY", "BY") else 1
-            if max(channel.step) > most:
-                raise DataError(f"{path}: expected {channel.name} in every pixel, found one in {channel.step} pixels")
+            across, down = channel.step
+            if max(across, down) > (2 if channel.name in ("RY", "BY") else 1):
+                raise DataError(f"{path}: expected {channel.name} in every pixel, found one in {across} x {down}")
     return names
 
 
@@ -84,7 +86,7 @@ def _planes(path: Path, data: bytes, header: Header) -> Mapping[str, np.ndarray]
     for channel in header.channels:
         shape = header.data_window.shape(channel.step)
         if channel.name not in planes or planes[channel.name].shape != shape:
-            raise DataError(f"{path}: expected a whole OpenEXR picture, found {said or 'other sizes'}")
+            raise DataError(f"{path}: expected a whole OpenEXR picture, found {said.reason or 'other sizes'}")
     return planes
 
 
@@ -97,8 +99,10 @@ class _Messages(io.TextIOBase):
     def __init__(self, beside: Any) -> None:
         self.thread, self.beside, self.text = threading.get_ident(), beside, ""
 
-    def __str__(self) -> str:
-        return self.text
+    @property
+    def reason(self) -> str:
+        """Without the sentence that the library puts before it."""
+        return self.text.rpartition(" - ")[2]
 
     def write(self, text: str) -> int:
         if threading.get_ident() != self.thread:

@@ -60,6 +60,15 @@ class Window(NamedTuple):
         return f"({self.left}, {self.top}) to ({self.right}, {self.bottom})"
 
 
+class Tiles(NamedTuple):
+    """The size of tiles, and the levels that they are stored for: 0 one, 1 halved in both directions, 2 in each."""
+
+    across: int
+    down: int
+    levels: int
+    is_up: bool
+
+
 @dataclass(frozen=True)
 class Header:
     """What the header of a file with one picture says.
@@ -70,6 +79,10 @@ class Header:
         display_window: The picture.
         primaries: CIE x and y of red, green, blue and white.
         neutral: CIE x and y of what is to look white, if that is given.
+        compression: Its number.
+        tiles: None for lines.
+        in_parts: Whether chunks say which part they belong to.
+        end: Where the header ends.
     """
 
     channels: tuple[Channel, ...]
@@ -77,12 +90,17 @@ class Header:
     display_window: Window
     primaries: tuple[float, ...]
     neutral: tuple[float, ...] | None
+    compression: int
+    tiles: Tiles | None
+    in_parts: bool
+    end: int
 
     @property
     def unpacked(self) -> int:
-        """Bytes of all channels, and of the picture as it is returned."""
+        """Bytes of all channels, or of the picture that is returned, whichever are more."""
         stored = sum(channel.size * math.prod(self.data_window.shape(channel.step)) for channel in self.channels)
-        return stored + 12 * (math.prod(self.data_window.shape()) + math.prod(self.display_window.shape()))
+        returned = 12 * max(math.prod(self.data_window.shape()), math.prod(self.display_window.shape()))
+        return max(stored, returned)
 
 
 def read_header(path: Path, data: bytes) -> Header:
@@ -92,19 +110,19 @@ def read_header(path: Path, data: bytes) -> Header:
         DataError: It is damaged, or says something of the pixels that is not understood.
     """
     try:
-        parts, flags = _parts(data)
+        parts, flags, end = _parts(data)
         if len(parts) != 1:
             names = [part.get("name", b"").decode("utf-8", "replace") for part in parts]
             raise DataError(f"{path}: expected one picture, found {len(parts)} parts: {shown(names, 120)}")
-        return _understood(path, parts[0], flags)
+        return _understood(path, parts[0], flags, end)
     except (ValueError, struct.error, IndexError, KeyError) as error:
         if isinstance(error, DataError):
             raise
         raise DataError(f"{path}: expected an OpenEXR picture, found a damaged header: {error}") from None
 
 
-def _parts(data: bytes) -> tuple[list[Attributes], int]:
-    """The attributes of each part as bytes, by name, and the flags of the file."""
+def _parts(data: bytes) -> tuple[list[Attributes], int, int]:
+    """The attributes of each part as bytes, by name; the flags of the file; and where what follows them starts."""
     flags = struct.unpack_from("<I", data, 4)[0]
     parts, at = [], 8
     while True:
@@ -123,7 +141,7 @@ def _parts(data: bytes) -> tuple[list[Attributes], int]:
         if part:
             parts.append(part)
         if not (part and flags & _PARTS):
-            return parts, flags
+            return parts, flags, at
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -132,7 +150,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     return data[at:end].decode("utf-8"), end + 1
 
 
-def _understood(path: Path, part: Attributes, flags: int) -> Header:
+def _understood(path: Path, part: Attributes, flags: int, end: int) -> Header:
     kind = part.get("type", b"tiledimage" if flags & _TILED else b"scanlineimage").decode()
     if flags & _DEEP or kind not in ("scanlineimage", "tiledimage"):
         raise DataError(f"{path}: expected one value for a pixel, found a picture of type {shown(kind)}")
@@ -140,9 +158,7 @@ def _understood(path: Path, part: Attributes, flags: int) -> Header:
     if not abs(aspect - 1) <= 1e-3:
         raise DataError(f"{path}: expected square pixels, found pixelAspectRatio {aspect:g}")
     if part.get("envmap", b"\0") != b"\0":
-        raise DataError(
-            f"{path}: expected a picture of latitude and longitude, found envmap {part['envmap'][:4]!r} (1: a cube)"
-        )
+        raise DataError(f"{path}: expected a flat picture or one of latitude and longitude, found a cube (envmap)")
     views = _texts(part.get("multiView", b""))
     if len(views) > 1:
         raise DataError(f"{path}: expected one view, found multiView {shown(views)}")
@@ -150,15 +166,27 @@ def _understood(path: Path, part: Attributes, flags: int) -> Header:
     for window in windows:
         if not all(0 < side <= _LARGEST_SIDE for side in window.shape()):
             raise DataError(f"{path}: expected sides of 1 to {_LARGEST_SIDE} pixels, found the window {window}")
-    if "tiles" in part or flags & _TILED or kind == "tiledimage":
-        across, down = struct.unpack_from("<2I", part["tiles"])
-        if not 0 < across * down <= max(_LARGEST_TILE, math.prod(windows[0].shape())):
+    tiles = None
+    if flags & _TILED or kind == "tiledimage":
+        across, down, mode = struct.unpack("<2IB", part["tiles"])
+        tiles = Tiles(across, down, mode & 15, bool(mode >> 4))
+        if not (0 < across * down <= max(_LARGEST_TILE, math.prod(windows[0].shape())) and tiles.levels < 3):
             raise DataError(f"{path}: expected tiles of at most {_LARGEST_TILE} pixels, found {across} x {down}")
     if "whiteLuminance" in part:
         message = "torchbrdf: %s: whiteLuminance, %g cd/m2 for 1, is not applied; values stay as they are"
         logging.getLogger("torchbrdf").warning(message, path, *struct.unpack("<f", part["whiteLuminance"]))
     neutral = struct.unpack("<2f", part["adoptedNeutral"]) if "adoptedNeutral" in part else None
-    return Header(tuple(_channels(part["channels"])), windows[0], windows[1], _primaries(path, part), neutral)
+    return Header(
+        channels=tuple(_channels(part["channels"])),
+        data_window=windows[0],
+        display_window=windows[1],
+        primaries=_primaries(path, part),
+        neutral=neutral,
+        compression=part["compression"][0],
+        tiles=tiles,
+        in_parts=bool(flags & _PARTS),
+        end=end,
+    )
 
 
 def _channels(data: bytes) -> list[Channel]:

@@ -21,8 +21,8 @@ _RESOLUTION = re.compile(rb"([-+])([XY]) (\d{1,9}) ([-+])([XY]) (\d{1,9})\r?")
 # Of scan lines that may be run-length encoded channel by channel.
 _SHORTEST, _LONGEST = 8, 32767
 _LARGEST_SIDE = 32768
-# Of a pixel while a file is read: its four bytes, and three values of 32 bits.
-_PIXEL = 16
+# Of a pixel that is returned.
+_PIXEL = 12
 
 
 @dataclass

@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from torchbrdf.color import luminance, safe_power
-from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.errors import DataError, ShapeError, UsageError, shown
 
 # Added to every luminance before its logarithm, as the implementation that the paper used does.
 _DELTA = 1e-5
+# Of the numbers of a tone map: their squares are numbers, too.
+_LARGEST = 1e100
 
 # How a value that is no number is shown: magenta, which no tone map makes of a whole area by itself.
 NOT_A_NUMBER = (255, 0, 255)
@@ -101,7 +103,7 @@ def tonemap(
     # L_d / Y without a division by Y, so that black has a finite gradient; beyond what the dtype holds, the limit.
     huge = above.isinf()
     ratio = torch.where(
-        huge, exposure * white**-2, exposure * torch.where(huge, 1, above) / torch.where(huge, 1, 1 + scaled)
+        huge, exposure / white / white, exposure * torch.where(huge, 1, above) / torch.where(huge, 1, 1 + scaled)
     )
     return safe_power((image * ratio).clamp_max(1), 1 / gamma)
 
@@ -124,7 +126,7 @@ class ToneMap:
         phi: Recorded and ignored.
 
     Raises:
-        UsageError: A number is not above 0.
+        UsageError: A number is not above 0, or above 1e100.
 
     Source: E. Reinhard et al., Photographic Tone Reproduction for Digital Images, 2002, doi:10.1145/566654.566575,
     eq. 1, 2 and 4.
@@ -144,8 +146,10 @@ class ToneMap:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-                raise UsageError(f"ToneMap.{name}: expected a number above 0, found {value!r}")
+            if not (isinstance(value, int | float) and 0 < value < _LARGEST):
+                raise UsageError(
+                    f"ToneMap.{name}: expected a number above 0 and below {_LARGEST:g}, found {shown(value)}"
+                )
 
     @classmethod
     def from_images(

@@ -95,7 +95,7 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
         fits, references = (display[list(side)] for side in zip(*pairs, strict=True))
         measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e76", "psnr")]
         for (k, _), delta_e76, psnr in zip(pairs, *measures, strict=True):
-            texts[k] = [f"{delta_e76:.2f}", f"{psnr:.1f} dB" if math.isfinite(psnr) else "infinite"]
+            texts[k] = [f"{delta_e76:.2f}", "infinite" if psnr == math.inf else f"{psnr:.1f} dB"]
     return texts
 
 
