@@ -1,5 +1,6 @@
 """The process that serves: where it listens, whom it listens to when many come, and how it stops."""
 
+import logging
 import os
 import signal
 import socket
@@ -70,6 +71,8 @@ class Server(TcpWSGIServer):
 
 def make_server(app: Any, listener: socket.socket, **settings: Any) -> Server:
     """A server of a WSGI application at a socket that listens; settings are those of waitress."""
+    # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
+    logging.getLogger("waitress.queue").setLevel(logging.ERROR)
     settings = {"connection_limit": 2 * CONNECTIONS, "asyncore_use_poll": True, **settings}
     made: Server = Server(
         app,

@@ -110,8 +110,6 @@ def serve(
         stack.callback(store.close)
         begins = Begins() if url is None else Begins(one=None)
         app = make_app(folder, experiment, store, site, observers=observers, begins=begins)
-        # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
-        logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         # With the usual 5 ms that threads wait for each other, answers wait for 100 ms where many come at once.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(1e-4)
@@ -148,9 +146,9 @@ def make_app(
     plan = store.plan
     plan.experiment(experiment)
     site = Site() if site is None else site
-    pictures = find_pictures(plan, Path(folder))
     check_screening(plan, Path(folder) / PLAN)
     texts = {key: paragraphs(plan, key, Path(folder) / PLAN) for key in TEXTS}
+    pictures = find_pictures(plan, Path(folder))
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
