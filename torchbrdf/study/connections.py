@@ -1,5 +1,6 @@
 """The process that serves: where it listens, whom it listens to when many come, and how it stops."""
 
+import logging
 import os
 import signal
 import socket
@@ -70,6 +71,8 @@ class Server(TcpWSGIServer):
 
 def make_server(app: Any, listener: socket.socket, **settings: Any) -> Server:
     """A server of a WSGI application at a socket that listens; settings are those of waitress."""
+    # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
+    logging.getLogger("waitress.queue").setLevel(logging.ERROR)
     settings = {"connection_limit": 2 * CONNECTIONS, "asyncore_use_poll": True, **settings}
     made: Server = Server(
         app,
@@ -95,12 +98,18 @@ def _files() -> int:
 @contextmanager
 def stopping() -> Iterator[None]:
     """Within the block, what asks a process to end, and the end of its terminal, stop it as Ctrl-C does."""
-    kept = {}
+    kept: dict[int, Any] = {}
+
+    def stop(*_: object) -> None:
+        for number in kept:
+            signal.signal(number, signal.SIG_IGN)  # ending takes a moment, which another signal is not to cut short
+        raise KeyboardInterrupt
+
     if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGHUP"):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # as with nohup
-                kept[number] = signal.signal(number, signal.default_int_handler)
+                kept[number] = signal.signal(number, stop)
     try:
         yield
     finally:

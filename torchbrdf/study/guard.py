@@ -146,7 +146,7 @@ class Begins:
         all: The same from everywhere.
     """
 
-    def __init__(self, one: tuple[int, float] | None = (120, 20), all: tuple[int, float] = (300, 60)) -> None:
+    def __init__(self, one: tuple[int, float] | None = (300, 30), all: tuple[int, float] = (600, 60)) -> None:
         self._one = None if one is None else Allowance(*one)
         self._all = Allowance(*all)
 

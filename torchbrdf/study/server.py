@@ -15,11 +15,12 @@ from flask import Flask, Response, abort, jsonify, make_response, redirect, rend
 from werkzeug.exceptions import HTTPException
 
 from torchbrdf.errors import TorchbrdfError, UsageError, shown
-from torchbrdf.reading import read_bytes
+from torchbrdf.reading import read_bytes, reading
 from torchbrdf.study.connections import address, listening, make_server, say, stopping
+from torchbrdf.study.design import trials
 from torchbrdf.study.guard import Begins, Site
 from torchbrdf.study.pictures import find_pictures, plain_png
-from torchbrdf.study.plan import SELF_REPORTS, TEXTS, Plan
+from torchbrdf.study.plan import PLAN, SELF_REPORTS, TEXTS, Plan
 from torchbrdf.study.store import (
     SIDES,
     STORE,
@@ -102,13 +103,12 @@ def serve(
         raise UsageError(f"--observers: expected 1 or more, found {observers}")
     plan = Plan.load(folder)
     with ExitStack() as stack:
+        stack.enter_context(stopping())
         listener = stack.enter_context(listening(host, port))
         store = Store(folder / STORE, plan)
         stack.callback(store.close)
         begins = Begins() if url is None else Begins(one=None)
         app = make_app(folder, experiment, store, site, observers=observers, begins=begins)
-        # Waiting for a thread is usual when pages load pictures ahead, and nothing to warn of.
-        logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         # With the usual 5 ms that threads wait for each other, answers wait for 100 ms where many come at once.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(1e-4)
@@ -122,7 +122,6 @@ def serve(
             ident="torchbrdf",
         )
         here = address(host, listener.getsockname()[1])
-        stack.enter_context(stopping())
         with store.checkpoints():
             say(f"{here} asks observers{f', who open {site.url}' if site.url else ''}; Ctrl-C stops")
             server.run()
@@ -143,11 +142,13 @@ def make_app(
 ) -> Flask:
     """Make the server as a WSGI application; the store has the plan. How many may begin is not limited by itself."""
     plan = store.plan
-    plan.experiment(experiment)
+    asked = plan.experiment(experiment)
+    with reading(Path(folder) / PLAN, f"an experiment {experiment!r} that can be asked"):
+        trials(plan, asked, 0)
     site = Site() if site is None else site
-    pictures = find_pictures(plan, Path(folder))
     plan.check_screening()
     texts = {key: re.split(r"\n\s*\n", plan.text(key).strip()) for key in TEXTS}
+    pictures = find_pictures(plan, Path(folder))
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
@@ -225,8 +226,8 @@ def make_app(
         now = store.state(token)
         if now.stage != "trials" or not now.position <= trial <= min(now.position + AHEAD, now.trials - 1):
             abort(403, "this picture is not to be seen now")
-        asked = store.trial(now, trial)
-        path, _ = pictures[asked.material, None if what == "reference" else getattr(asked, what)]
+        pair = store.trial(now, trial)
+        path, _ = pictures[pair.material, None if what == "reference" else getattr(pair, what)]
         found = Response(plain_png(read_bytes(path, "a PNG"), path), content_type="image/png")
         found.headers["Cache-Control"] = "private, max-age=3600"
         return found
