@@ -24,7 +24,6 @@ from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder, configure, run
 from torchbrdf.render import Environment, Scene, parse_light, sphere
 
-
 PAIRS = 400
 
 
