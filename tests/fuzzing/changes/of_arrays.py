@@ -18,6 +18,9 @@ from fuzzing.changes import Change
 
 Arrays = dict[str, np.ndarray]
 
+LARGEST = 1 << 26
+"""Bytes of members that are changed once more."""
+
 
 def _values(source: Random, array: np.ndarray) -> np.ndarray:
     """Some entries, or all, are others."""
@@ -125,6 +128,7 @@ NPZ: tuple[Change, ...] = (npz, npz, npz, npz, npz, members, members, bomb)
 
 def arrays_of(data: bytes) -> Arrays:
     """The arrays of an .npz; a ValueError if it is none any more."""
+    members_of(data)
     try:
         with np.load(io.BytesIO(data), allow_pickle=True) as found:
             return {name: found[name] for name in found.files}
@@ -141,6 +145,8 @@ def members_of(data: bytes) -> dict[str, bytes]:
     """The members of a zip file; a ValueError if it is none any more."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as found:
+            if sum(member.file_size for member in found.infolist()) > LARGEST:
+                raise ValueError("a bomb already")
             return {name: found.read(name) for name in found.namelist()}
     except Exception as error:
         raise ValueError("no zip file") from error

@@ -188,7 +188,9 @@ def use_published(path: Path) -> None:
 def make_mat(folder: Path) -> None:
     source = np.random.default_rng(0)
     names = ("rms", "rms_cos", "rms_cos_cube", "dist_L2_lab", "dist_L4_lab")
-    savemat(folder / "fuzzed.mat", {name: np.abs(source.normal(size=(4, 4))) for name in names}, do_compression=True)
+    points = {name: source.normal(size=(4, 2)) for name in names}
+    distances = {name: np.linalg.norm(at[:, None] - at, axis=-1) for name, at in points.items()}
+    savemat(folder / "fuzzed.mat", distances, do_compression=True)
 
 
 def use_mat(path: Path) -> None:
