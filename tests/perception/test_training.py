@@ -291,6 +291,7 @@ GOOD = {"curve": CURVE, "weights": WEIGHTS}
         {"curve": CURVE.astype(str)},
         {"curve": CURVE.astype(int)},
         {"curve": np.array(1.0)},
+        {"curve": CURVE.astype("M8[s]")},
     ],
 )
 def test_trainings_that_cannot_be_are_refused(tmp_path: Path, wrong: dict) -> None:
