@@ -104,8 +104,8 @@ def test_distances_that_were_changed_are_refused_and_those_of_others_scored_agai
     [
         ({}, "materials: expected a folder; quick=true runs on made-up answers"),
         ({"materials": "merl"}, "human: expected a folder"),
-        ({"quick": "true", "samples": "1"}, "samples: expected a whole number from 2 to"),
-        ({"quick": "true", "max_theta": "95"}, "max_theta: expected a number from 1 to 90"),
+        ({"quick": "true", "samples": "1"}, "samples: expected a whole number from 2 to 200000, found '1'"),
+        ({"quick": "true", "max_theta": "95"}, "max_theta: expected a number from 1 to 90, found '95'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, said):

@@ -291,6 +291,7 @@ GOOD = {"curve": CURVE, "weights": WEIGHTS}
         {"curve": CURVE.astype(str)},
         {"curve": CURVE.astype(int)},
         {"curve": np.array(1.0)},
+        {"curve": CURVE.astype("M8[s]")},
     ],
 )
 def test_trainings_that_cannot_be_are_refused(tmp_path: Path, wrong: dict) -> None:
@@ -319,7 +320,7 @@ def test_trainings_that_were_changed_are_refused(tmp_path: Path) -> None:
         ({}, "expected human, or study and answers"),
         ({"human": "h"}, "materials: expected a folder"),
         ({"study": "runs/x"}, "expected a study and its answers"),
-        ({"quick": "true", "samples": "0"}, "expected at least 1 sample"),
+        ({"quick": "true", "samples": "0"}, "samples: expected a whole number from 2 to 200000, found '0'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(options, said) -> None:

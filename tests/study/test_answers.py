@@ -211,8 +211,12 @@ HEAD = "observer,material,left,right,chosen,response_time,seed,kind\n"
         (HEAD + "o,m,a,a,1,,,\n", "expected two stimuli, found 'a' twice"),
         (HEAD + "o,m,a,b,a,,,practice\n", "kind: expected one of trial, repeat, catch"),
         (HEAD + 'o,m,"a,b,a,,,\n', "expected CSV"),
-        (HEAD + 'o,m,"a\n",b,a,,,\no,m,"a\nb",b,b,,,\n', "line 5: answer: expected names of one line, found 'a\\nb'"),
-        (HEAD + "o,m,a\x1bb,b,b,,,\n", "expected names of one line, found 'a\\x1bb'"),
+        (
+            HEAD + 'o,m,"a\n",b,a,,,\no,m,"a\nb",b,b,,,\n',
+            "line 5: answer: expected names of one line, up to 200 long, found 'a\\nb'",
+        ),
+        (HEAD + f"o,m,{'a' * 201},b,2,,,\n", "expected names of one line, up to 200 long, found 'aaa"),
+        (HEAD + "o,m,a\x1bb,b,b,,,\n", "expected names of one line, up to 200 long, found 'a\\x1bb'"),
         (
             HEAD.replace("seed", '"s\n\n' + "x" * 9000 + '"').replace("left", "'$\\bad{'"),
             "expected a column condition_1",

@@ -217,6 +217,7 @@ def test_a_plan_shows_only_pictures_of_its_folder(folder):
         (("mark",), None, "expected `str`, got `null` - at `$.mark`"),
         (("texts",), {"title": None}, "expected `str`, got `null` - at `$.texts"),
         (("texts",), {"title": "a\0b"}, "text 'title': expected printable lines, found 'a\\x00b'"),
+        (("texts",), {"title": "a\x1cb"}, "text 'title': expected printable lines, found 'a\\x1cb'"),
         (("texts",), {"titel": "x"}, "unknown text of a study 'titel'; expected one of"),
         (("screening",), {"color": ["normal"]}, "unknown self-report to screen by 'color'; expected one of acuity"),
         (("screening",), {"room": ["bleak"]}, "unknown answer to room 'bleak'; expected one of bright, dark, dim"),

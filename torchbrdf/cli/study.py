@@ -44,15 +44,17 @@ Add an experiment to the study.json of a run, with any of its stimuli and pairs.
 """
 
 EXPORT = """\
-Write the answers of a run's observers to a CSV file, in the columns of pwcmp and more, and beside it, as JSON, what
-observers said of themselves and their screens.
+Write the answers of a run's observers to a CSV file: observer, session, scene, condition_1, condition_2, selection (1
+or 2) and more, and beside it, as JSON, what observers said of themselves and their screens.
 
   torchbrdf study export runs/fores2012 --out answers.csv
 """
 
 SCALE = """\
 Scale the answers of a run's observers, or of a CSV file with a row an answer: observer, scene, condition_1,
-condition_2, selection (pwcmp's columns; or observer, material, left, right, chosen).
+condition_2, selection (1, 2 or the name); or pwcmp's observer, scene, condition_A, condition_B, is_A_selected (1 or 0);
+or observer, material, left, right, chosen. Selections mean the same in all rows; where a file leaves open what they
+mean, call the column chosen_place or chosen_name.
 
   torchbrdf study scale runs/fores2012
   torchbrdf study scale answers.csv --out scales/

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.files import quoted, unquoted, write_text
-from torchbrdf.names import is_one_line
+from torchbrdf.names import LONGEST_NAME, is_one_line
 from torchbrdf.study.selection import LEFT, SELECTIONS, Shown, chosen_sides
 from torchbrdf.study.tables import TextTable, column_key, read_table
 
@@ -61,7 +61,7 @@ class Answer:
             "catch" trial has an answer that is known.
 
     Raises:
-        DataError: A name has more than one line, or `chosen` was not shown.
+        DataError: A name is empty, too long or of more than one line, `chosen` was not shown, or a number cannot be.
 
     Example:
         >>> Answer("ann", "gloss", "nickel", left="ward", right="cook", chosen="cook").rejected
@@ -81,8 +81,8 @@ class Answer:
 
     def __post_init__(self) -> None:
         for name in (self.observer, self.experiment, self.material, self.left, self.right, self.time_stamp):
-            if not is_one_line(name):
-                raise DataError(f"answer: expected names of one line, found {shown(name)}")
+            if not is_one_line(name) or len(name) > LONGEST_NAME:
+                raise DataError(f"answer: expected names of one line, up to {LONGEST_NAME} long, found {shown(name)}")
         for what, name in (("observer", self.observer), ("left", self.left), ("right", self.right)):
             if not name.strip():
                 raise DataError(f"answer: {what}: expected a name, found nothing")
@@ -251,7 +251,7 @@ def _seconds(time: float) -> str:
 
 
 def _printable(text: str) -> str:
-    if not is_one_line(text):
+    if not is_one_line(text) or len(text) > LONGEST_NAME:
         raise ValueError
     return text
 

@@ -197,7 +197,7 @@ class Plan:
         for key, text in self.texts.items():
             if key not in TEXTS:
                 raise unknown("text of a study", key, TEXTS)
-            for line in text.splitlines():
+            for line in text.replace("\r\n", "\n").split("\n"):
                 if not is_one_line(line.replace("\t", " ")):
                     raise UsageError(f"text {key!r}: expected printable lines, found {shown(line)}")
         if not abs(self.seed) <= LARGEST_SEED:

@@ -35,6 +35,8 @@ COLOR, NUMBER = (3,), (1,)
 # Albedos, of at least 0 in every set; and what no number of a fit goes beyond, but for Bagher's c of up to 1e109.
 ALBEDOS = ("diffuse", "specular", "A")
 LARGEST, LARGEST_C = 1e9, 1e300
+# What a number above 0 is at least: widths of lobes are divided by.
+SMALLEST = 1e-12
 Numbers = dict[str, Tensor]
 
 
@@ -226,10 +228,10 @@ def _numbers(where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...]
     flat = [found] if shape == NUMBER else _flat(found, shape)
     if flat is None or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in flat):
         raise DataError(f"{where}: expected {_kind(shape)}, found {shown(found)}")
-    least, most = 0.0 if positive or field in ALBEDOS else -LARGEST, LARGEST_C if field == "c" else LARGEST
-    if not all(least <= x <= most and (x > 0 or not positive) for x in flat):
-        words = "numbers above 0" if positive else f"numbers from {least:g}"
-        raise DataError(f"{where}: expected {words} up to {most:g}, found {shown(found)}")
+    least = SMALLEST if positive else 0.0 if field in ALBEDOS else -LARGEST
+    most = LARGEST_C if field == "c" else LARGEST
+    if not all(least <= x <= most for x in flat):
+        raise DataError(f"{where}: expected numbers from {least:g} to {most:g}, found {shown(found)}")
     return torch.tensor(flat, dtype=torch.float64, device="cpu").reshape(shape)
 
 
