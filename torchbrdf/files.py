@@ -49,6 +49,12 @@ def write_text(path: Path | str, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
 def write_json(path: Path | str, value: object) -> None:
     """Write a value as indented JSON, whole or not at all; a number that is not finite is null."""
     write_text(path, json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")

@@ -1,9 +1,12 @@
 """Light from all around: the map, what is looked up in it, and the lights that stand for it."""
 
+import logging
 import math
+import re
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from hypothesis import given
@@ -204,20 +207,55 @@ def test_dark_parts_give_no_lights() -> None:
     assert (Environment.from_image(picture).light_samples(256).flux.sum(-1) > 0).all()
 
 
-def broken(value: float) -> Tensor:
+def many(value: float, count: int) -> Tensor:
     picture = torch.ones(8, 16, 3)
-    picture[3, 5, 1] = value
+    picture.view(-1)[:count] = value
     return picture
+
+
+@pytest.mark.parametrize(
+    ("value", "counted", "said"),
+    [
+        (-1e-7, 0.0, r"negative count as 0: 3 of 384 \(-1e-07 at row 0, column 0\)"),
+        (math.inf, 2.5, r"not finite count as 2.5, .*: 3 of 384 \(inf at row 0, column 0\)"),
+        (math.nan, 0.0, "not finite count as"),
+        (-math.inf, 0.0, "not finite count as"),
+    ],
+)
+def test_a_few_odd_values_are_mended_and_counted(
+    tmp_path: Path, value: float, counted: float, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    odd, mended = many(value, 3), many(counted, 3)
+    odd[4, 4, 0] = mended[4, 4, 0] = 2.5
+    write_exr(tmp_path / "light.exr", odd)
+    with caplog.at_level(logging.WARNING, "torchbrdf"):
+        found = Environment.from_file(tmp_path / "light.exr")
+    assert torch.equal(found.texels, Environment.from_image(mended).texels)
+    (record,) = caplog.records
+    assert re.search(f"light.exr: values that are {said}", record.getMessage())
+
+
+def test_a_crop_is_no_sphere(tmp_path: Path) -> None:
+    """What a file leaves out of its display window is dark, not filled by what it has."""
+    pixels = torch.zeros(32, 64, 3)
+    pixels[16:24, 20:36] = torch.tensor([1.0, 2.0, 3.0])
+    header = {"dataWindow": ((20, 16), (35, 23)), "displayWindow": ((0, 0), (63, 31)), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": pixels[16:24, 20:36].contiguous().numpy()}).write(str(tmp_path / "crop.exr"))
+    found = Environment.from_file(tmp_path / "crop.exr")
+    assert torch.equal(found.texels, Environment.from_image(pixels).texels)
 
 
 @pytest.mark.parametrize(
     ("picture", "reason"),
     [
         (torch.ones(8, 15, 3), "15 x 8"),
-        (broken(math.nan), "not finite: nan at row 3, column 5, channel 1"),
-        (broken(math.inf), "not finite: inf"),
-        (broken(-1.0), "negative: -1.0 at row 3, column 5, channel 1"),
+        (torch.full((8, 16, 3), math.nan), "black"),
+        (many(math.nan, 5), r"at most 1 in 100 values that are not finite, found 5 of 384 \(nan at row 0, column 0\)"),
+        (many(math.inf, 5), "not finite"),
+        (many(-1e-7, 40), "at most 1 in 10 values that are negative, found 40"),
+        (many(2e15, 1), r"below 1e\+15, found up to 2e\+15"),
         (torch.zeros(8, 16, 3), "black"),
+        (torch.full((8, 16, 3), -1.0), "black"),
     ],
 )
 def test_pictures_that_are_no_environment(tmp_path: Path, picture: Tensor, reason: str) -> None:

@@ -1,5 +1,7 @@
 """The sheet of pictures: what stands where, and that it is written whole or not at all."""
 
+import math
+
 import matplotlib.figure
 import pytest
 import torch
@@ -62,6 +64,19 @@ def test_pictures_and_maps_have_their_colours(tmp_path):
         assert count(end) > 0.9 * pictures / 4  # half of one map
 
 
+def test_what_is_no_number_has_a_colour_of_its_own(tmp_path):
+    items = [material("a"), fit("a", 0)]
+    display, maps = torch.full((2, 8, 8, 3), 0.25), torch.zeros(2, 8, 8)
+    display[1, :, :4], maps[1, :, :4] = math.nan, math.nan
+    write_sheet(tmp_path / "sheet.png", items, display, maps, [math.nan] * 2, torch.ones(8, 8))
+    picture = Image.open(tmp_path / "sheet.png").convert("RGB")
+    colors = {color: count for count, color in picture.getcolors(picture.width * picture.height)}
+    half = 0.4 * 150**2
+    assert colors[255, 0, 255] > half  # of the picture
+    assert colors[0, 255, 0] > half  # of the map
+    assert colors[64, 64, 64] > 3 * half
+
+
 def test_a_sheet_without_fits_has_no_colour_scale(tmp_path):
     write(tmp_path / "with.png")
     write(tmp_path / "without.png", names=1)
@@ -73,7 +88,7 @@ def test_it_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     (tmp_path / "sheet.png").write_text("before")
 
     def fails(self, path, **options):
-        path.write_text("half")
+        path.write(b"half")
         raise RuntimeError("no memory")
 
     monkeypatch.setattr(matplotlib.figure.Figure, "savefig", fails)

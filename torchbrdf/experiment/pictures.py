@@ -25,7 +25,8 @@ SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
 DIFFERENCE = "delta_e76"
 # A colour difference that maps show as the brightest colour.
 BRIGHTEST = 20.0
-COLOR_MAP = matplotlib.colormaps["magma"]
+# Green, which is none of its colours, where there is no difference to tell.
+COLOR_MAP = matplotlib.colormaps["magma"].with_extremes(bad="lime")
 # The name of a scene that is the only one: its pictures lie in `renders/` itself.
 ONLY = ""
 

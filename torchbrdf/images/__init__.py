@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from torchbrdf._lazy import exports
 from torchbrdf.images.differences import DIFFERENCES, Difference, PixelDifference
 from torchbrdf.images.files import read_image, write_exr, write_png
-from torchbrdf.images.tone_mapping import ToneMap, composite, log_average_and_white, tonemap
+from torchbrdf.images.tone_mapping import ToneMap, composite, log_average_and_white, to_bytes, tonemap
 
 if TYPE_CHECKING:
     from torchbrdf.images.differences.compressed_hdr import CompressedHDR, compressed_hdr
@@ -60,6 +60,7 @@ __all__ = [
     "psnr",
     "read_image",
     "ssim",
+    "to_bytes",
     "tonemap",
     "write_exr",
     "write_png",

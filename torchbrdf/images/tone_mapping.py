@@ -1,8 +1,10 @@
-"""From linear pictures to display values: Reinhard's global operator, measured once and then frozen."""
+"""From linear pictures to display values, Reinhard's global operator, measured once and then frozen; and to bytes."""
 
+import logging
 import math
 from dataclasses import asdict, dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,6 +13,28 @@ from torchbrdf.errors import DataError, ShapeError, UsageError
 
 # Added to every luminance before its logarithm, as the implementation that the paper used does.
 _DELTA = 1e-5
+
+# How a value that is no number is shown: magenta, which no tone map makes of a whole area by itself.
+NOT_A_NUMBER = (255, 0, 255)
+
+
+def to_bytes(display: Tensor) -> np.ndarray:
+    """Display values as bytes, as every file of pictures has them.
+
+    Args:
+        display: Display values, `(..., 3)`, clamped to [0, 1]; a pixel with a NaN becomes magenta.
+
+    Returns:
+        `(..., 3)`, uint8.
+
+    Example:
+        >>> to_bytes(torch.tensor([[0.0, 0.5, 1.0], [0.0, torch.nan, 0.0]])).tolist()
+        [[0, 128, 255], [255, 0, 255]]
+    """
+    display = display.detach().cpu().to(torch.float32)
+    pixels = (display.nan_to_num(0).clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    pixels[display.isnan().any(-1).numpy()] = NOT_A_NUMBER
+    return pixels
 
 
 def composite(display: Tensor, coverage: Tensor, background: float = 0.5) -> Tensor:
@@ -61,19 +85,24 @@ def tonemap(
         gamma: Of the display.
 
     Returns:
-        Display values in [0, 1], `(..., 3)`.
+        Display values in [0, 1], `(..., 3)`. An infinite channel is 1, as its limit is; a pixel with a NaN is NaN, so
+        that losses do not take it for a colour, and `to_bytes` makes it magenta.
 
     Source: see `ToneMap`.
 
     Example:
-        >>> tonemap(torch.tensor([0.0, 0.0, 0.0]), log_average=0.5, white=2.0)
-        tensor([0., 0., 0.])
+        >>> tonemap(torch.tensor([0.0, 0.0, torch.inf]), log_average=0.5, white=2.0)
+        tensor([0., 0., 1.])
     """
     image = image.clamp_min(0)
     exposure = key / log_average
     scaled = luminance(image)[..., None] * exposure
-    # L_d / Y without a division by Y, so that black has a finite gradient.
-    ratio = exposure * (1 + scaled / white**2) / (1 + scaled)
+    above = 1 + scaled / white**2
+    # L_d / Y without a division by Y, so that black has a finite gradient; beyond what the dtype holds, the limit.
+    huge = above.isinf()
+    ratio = torch.where(
+        huge, exposure * white**-2, exposure * torch.where(huge, 1, above) / torch.where(huge, 1, 1 + scaled)
+    )
     return safe_power((image * ratio).clamp_max(1), 1 / gamma)
 
 
@@ -125,7 +154,7 @@ class ToneMap:
         """Tone map measured on pictures, over all of them together.
 
         Args:
-            images: Linear, `(..., H, W, 3)`.
+            images: Linear, `(..., H, W, 3)`. Pixels that are not finite do not count, and the log says how many.
             mask: Which pixels count, `(..., H, W)`; by default all.
             key: As for the class.
             gamma: As for the class.
@@ -133,7 +162,7 @@ class ToneMap:
 
         Raises:
             ShapeError: The images have other than three channels.
-            DataError: No pixel counts, a value is not finite, or all are black.
+            DataError: No pixel counts, or all are black.
         """
         if images.shape[-1:] != (3,):
             raise ShapeError(f"ToneMap: expected images (..., 3), found {(*images.shape,)}")
@@ -142,14 +171,20 @@ class ToneMap:
             light = light[mask.to(light.device, torch.bool).expand(light.shape)]
         if not light.numel():
             raise DataError("ToneMap: no pixel to measure; the mask is empty")
-        largest = float(light.max())
-        if not (math.isfinite(largest) and largest > 0 and bool(light.isfinite().all())):
+        finite = light.isfinite()
+        count = light.numel() - int(finite.sum())
+        light = light[finite]
+        largest = float(light.max()) if light.numel() else math.nan
+        if not largest > 0:
             raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
-        log_average, white = log_average_and_white(light.flatten(), key)
+        if count:
+            message = "torchbrdf: tone map: %d of %d pixels are not finite and do not count"
+            logging.getLogger("torchbrdf").warning(message, count, finite.numel())
+        log_average, white = log_average_and_white(light, key)
         return cls(log_average.item(), white.item(), key, gamma, phi)
 
     def __call__(self, image: Tensor) -> Tensor:
-        """Display values in [0, 1] of linear `(..., 3)`; negative values count as 0, with gradient 0."""
+        """Display values in [0, 1] of linear `(..., 3)`, as `tonemap` has them."""
         return tonemap(image, self.log_average, self.white, self.key, self.gamma)
 
     def to_dict(self) -> dict[str, float]:

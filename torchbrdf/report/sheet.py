@@ -15,7 +15,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, DIFFERENCE, color_difference
 from torchbrdf.files import write_json
-from torchbrdf.images import DIFFERENCES, ToneMap, composite, write_exr, write_png
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes, write_exr, write_png
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Scene, render
@@ -124,7 +124,7 @@ def write_sheet(
         for cell in cells:
             k, top = cell.item, cell.row * (1 + TITLE / side) + TITLE / side
             shown = COLOR_MAP(maps[k].numpy() / BRIGHTEST)[..., :3] if cell.is_map else display[k].numpy()
-            picture = composite(torch.as_tensor(shown), coverage).numpy().clip(0, 1)
+            picture = to_bytes(composite(torch.as_tensor(shown), coverage))
             axes.imshow(picture, extent=(cell.column + GAP, cell.column + 1 - GAP, top + 1 - 2 * GAP, top))
             said = f"mean ΔE {delta_e[k]:.2f}" if cell.is_map else _title(items[k])
             axes.text(cell.column + 0.5, top - GAP, said, fontsize=size, ha="center", va="bottom")

@@ -1,5 +1,6 @@
 """What all figures share: their style, what is written on them, and how they are saved."""
 
+import io
 import textwrap
 import warnings
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from torchbrdf.files import replacing
+from torchbrdf.files import write_bytes
 
 COLORS = {"rms": "#c44e52", "cosine_rms": "#dd8452", "cube_root": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
 # Of a mark, to an inch.
@@ -42,5 +43,6 @@ def new_figure(
         if mark:
             lines = textwrap.fill(mark, int(width * LETTERS))
             figure.suptitle(lines, fontsize=8, color="#9c3d00", x=0.99, ha="right")
-        with replacing(path) as temporary:
-            figure.savefig(temporary, dpi=110, format="png")
+        data = io.BytesIO()  # the errors of a full disk are those of a file, not of a library
+        figure.savefig(data, dpi=110, format="png")
+        write_bytes(path, data.getvalue())

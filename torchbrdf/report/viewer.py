@@ -8,14 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
 from PIL import Image
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.files import write_text
-from torchbrdf.images import DIFFERENCES, ToneMap, composite
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
@@ -96,15 +95,14 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
         fits, references = (display[list(side)] for side in zip(*pairs, strict=True))
         measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e76", "psnr")]
         for (k, _), delta_e76, psnr in zip(pairs, *measures, strict=True):
-            texts[k] = [f"{delta_e76:.2f}", f"{psnr:.1f} dB" if math.isfinite(psnr) else "infinite"]
+            texts[k] = [f"{delta_e76:.2f}", "infinite" if psnr == math.inf else f"{psnr:.1f} dB"]
     return texts
 
 
 def _jpeg(display: Tensor) -> str:
     """Display values `(H, W, 3)` as a data URI."""
-    pixels = (display.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     data = io.BytesIO()
-    Image.fromarray(pixels).save(data, format="JPEG", quality=QUALITY, subsampling="4:4:4", optimize=True)
+    Image.fromarray(to_bytes(display)).save(data, format="JPEG", quality=QUALITY, subsampling="4:4:4", optimize=True)
     return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
 
 

@@ -1,6 +1,7 @@
 """Light from all around, infinitely far away."""
 
 import importlib.resources
+import logging
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,11 @@ _SUPERSAMPLING = 4
 _STRIP = 8
 # A picture wider than this is averaged down first, since the map could not show more.
 _WIDEST = 4 * RESOLUTION
+# Resampling and conversion of colours leave negative values, and half floats infinite suns: how many of its values may
+# be so before a picture is no light probe.
+_MOST_NEGATIVE, _MOST_NOT_FINITE = 0.1, 0.01
+# Of a radiance: sums over the sphere, and squares of differences, fit into float32 below it.
+_BRIGHTEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,8 @@ class Environment:
     def from_file(cls, path: str | Path, rotation: float = 0.0) -> "Environment":
         """Environment from a `.exr` or Radiance `.hdr` picture, latitude-longitude or angular map.
 
+        What is mended, and refused, is that of `from_image`.
+
         Raises:
             DataError: The file is no such picture.
         """
@@ -96,16 +104,18 @@ class Environment:
         """Environment from a linear picture `(H, W, 3)`, area-averaged onto the map.
 
         Args:
-            image: Latitude-longitude (W = 2 H) or angular map (W = H), finite and at least 0.
+            image: Latitude-longitude (W = 2 H) or angular map (W = H). Negative values and NaN count as 0, infinite
+                ones as the largest finite one, and the log says how many there were.
             rotation: As for the class.
             where: What errors call it.
 
         Raises:
-            DataError: It is no such picture.
+            DataError: It is no such picture; more than 1 in 10 of its values are negative, or 1 in 100 not finite;
+                or a radiance is above 1e15.
         """
-        _check(image, where)
+        _check_shape(image, where)
         height, width = image.shape[:2]
-        planes = image.to(torch.float32).movedim(-1, 0)[None]
+        planes = _mended(image.detach().to(torch.float32), where).movedim(-1, 0)[None]
         if width > _WIDEST:
             planes = F.adaptive_avg_pool2d(planes, (_WIDEST * height // width, _WIDEST))
         find = _angular_map if height == width else _latitude_longitude
@@ -224,7 +234,7 @@ def _halved(texels: Tensor) -> Tensor:
     return texels.unflatten(0, (-1, 2)).unflatten(2, (-1, 2)).sum((1, 3))
 
 
-def _check(image: Tensor, where: str) -> None:
+def _check_shape(image: Tensor, where: str) -> None:
     if image.dim() != 3 or image.shape[-1] != 3:
         raise DataError(f"{where}: expected a picture (H, W, 3), found {(*image.shape,)}")
     height, width = image.shape[:2]
@@ -233,13 +243,29 @@ def _check(image: Tensor, where: str) -> None:
             f"{where}: expected a latitude-longitude map (width = 2 height) or an angular map (width = height), "
             f"found {width} x {height} pixels"
         )
-    for bad, what in ((~image.isfinite(), "is not finite"), (image < 0, "is negative")):
-        if bad.any():
-            row, column, channel = bad.nonzero()[0].tolist()
-            value = image[row, column, channel].item()
-            raise DataError(f"{where}: radiance {what}: {value} at row {row}, column {column}, channel {channel}")
-    if not image.any():
-        raise DataError(f"{where}: the whole picture is black")
+
+
+def _mended(image: Tensor, where: str) -> Tensor:
+    """A picture of values that are finite and at least 0; see `Environment.from_image`."""
+    finite = image.isfinite()
+    largest = float(image.nan_to_num(0, 0, 0).amax()) if image.numel() else 0.0
+    if not 0 < largest < _BRIGHTEST:
+        found = f"up to {largest:.3g}" if largest > 0 else "nothing above 0: the whole picture is black"
+        raise DataError(f"{where}: expected finite radiance above 0 and below {_BRIGHTEST:g}, found {found}")
+    for bad, most, what, counted in (
+        ((image < 0) & finite, _MOST_NEGATIVE, "negative", "0"),
+        (~finite, _MOST_NOT_FINITE, "not finite", f"{largest:.4g}, the largest, or as 0 if they are no number"),
+    ):
+        count = int(bad.sum())
+        if not count:
+            continue
+        row, column, channel = bad.nonzero()[0].tolist()
+        found = f"{count} of {image.numel()} ({image[row, column, channel].item():.4g} at row {row}, column {column})"
+        if count > most * image.numel():
+            raise DataError(f"{where}: expected at most 1 in {1 / most:.0f} values that are {what}, found {found}")
+        message = "torchbrdf: %s: values that are %s count as %s: %s"
+        logging.getLogger("torchbrdf").warning(message, where, what, counted, found)
+    return image.nan_to_num(nan=0.0, posinf=largest, neginf=0.0).clamp_min(0)
 
 
 def _latitude_longitude(directions: Tensor, padded_width: int) -> Tensor:
