@@ -9,7 +9,7 @@ from helpers.simulated_plan import make_plan, wards
 
 from torchbrdf.report.observers import SIMULATED_MARK, write_scales
 from torchbrdf.report.scale_figures import ScalePoint, _bars
-from torchbrdf.report.style import new_figure
+from torchbrdf.report.style import new_figure, plain_ticks
 from torchbrdf.study import MEASURED, Answer, simulate
 
 
@@ -62,3 +62,13 @@ def test_a_legend_leaves_no_label_out(tmp_path):
             _bars(panel, [0], [1], [ScalePoint(1, 0.5, 1.5)], "black", "y", label)
         legend = panel.legend()
     assert [text.get_text().strip() for text in legend.get_texts()] == ["_hidden", "shown"]
+
+
+@pytest.mark.parametrize("high", [1.5, 8.0, 1e4])
+def test_numbers_of_a_logarithmic_axis_are_plain_text(tmp_path, high):
+    with new_figure(tmp_path / "x.png", 3, 2) as figure:
+        panel = figure.subplots()
+        panel.set(xscale="log", xlim=(1.0, high))
+        plain_ticks(panel.xaxis)
+    labels = [label.get_text() for label in panel.get_xticklabels() + panel.get_xticklabels(minor=True)]
+    assert any(labels) and not any("$" in label for label in labels)

@@ -16,7 +16,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.report.style import COLORS, new_figure
+from torchbrdf.report.style import COLORS, new_figure, plain_ticks
 
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
 
@@ -33,7 +33,7 @@ def gloss_figure(
         left.set(
             xscale="log", xlabel="distinctness of image: degrees off the mirror direction\nat 0.3 of its luminance"
         )
-        left.xaxis.set_major_formatter("{x:g}")
+        plain_ticks(left.xaxis)
         left.set_yticks(rows, [names[k] for k in order])
         left.invert_yaxis()
         right.barh(rows, np.asarray(contrast)[order], color="#dd8452")
@@ -74,7 +74,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
         off = np.geomspace(0.05, 90, 200)
         _curves(panels[-1], material, model, records, 30.0, 30.0 - off, off)
         panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror direction", xscale="log")
-        panels[-1].xaxis.set_major_formatter("{x:g}")
+        plain_ticks(panels[-1].xaxis)
         panels[0].set_ylabel("cube root of f (green)")
         panels[-1].legend(fontsize=7, frameon=False)
 

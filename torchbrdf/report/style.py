@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from torchbrdf.files import write_bytes
 
@@ -46,3 +48,9 @@ def new_figure(
         data = io.BytesIO()  # the errors of a full disk are those of a file, not of a library
         figure.savefig(data, dpi=110, format="png")
         write_bytes(path, data.getvalue())
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Numbers of a logarithmic axis as plain text; matplotlib writes them as formulas, which figures do not have."""
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))

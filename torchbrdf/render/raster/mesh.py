@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, one_line
 from torchbrdf.files import replacing
 from torchbrdf.render.raster.join import join
 from torchbrdf.render.raster.mesh_formats import read_parts
@@ -96,7 +96,7 @@ class Mesh:
 
 def _warn(path: Path, repair: str) -> None:
     """Say what was amiss in a file and what was done about it."""
-    logging.getLogger("torchbrdf").warning("torchbrdf: %s: %s", path, repair)
+    logging.getLogger("torchbrdf").warning("torchbrdf: %s", one_line(f"{path}: {repair}"))
 
 
 def sphere(levels: int = 6) -> Mesh:
