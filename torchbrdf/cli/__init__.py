@@ -43,9 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (TorchbrdfError, OSError) as error:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt as error:
+    except EndedError as error:
         print("torchbrdf: stopped", file=sys.stderr)
-        return 128 + (error.number if isinstance(error, EndedError) else signal.SIGINT)
+        sys.stdout.flush()
+        # All is closed by now; to take torch apart takes the interpreter seconds on a busy machine.
+        os._exit(128 + error.number)
+    except KeyboardInterrupt:  # of a caller, who is no signal
+        print("torchbrdf: stopped", file=sys.stderr)
+        return 128 + signal.SIGINT
 
 
 def build_parser() -> argparse.ArgumentParser:
