@@ -89,7 +89,7 @@ def test_what_a_worker_raises_shows_the_workers_own_traceback(run):
         list(run(fails_deep_inside, [0, 1, 2]))
     shown = "".join(traceback.format_exception(caught.value))
     assert "in fails_deep_inside" in shown
-    assert 'raise DataError("material 1 is odd")' in shown
+    assert shown.count("DataError: material 1 is odd") == (1 if run is thread_map else 2)  # there, and here
 
 
 def test_who_stops_listening_waits_for_no_further_item(run, tmp_path):
