@@ -58,6 +58,7 @@ def test_little_work_is_done_in_threads(two_threads, monkeypatch):
     assert not WORKERS.are_ready(2)
 
 
+@pytest.mark.slow
 def test_much_work_moves_to_processes_once_they_have_started(two_threads, monkeypatch):
     monkeypatch.delenv("TORCHBRDF_PROCESSES", raising=False)
     monkeypatch.setattr(parallel, "WORTH", 0.5)
@@ -154,6 +155,7 @@ def test_workers_compute_with_this_processs_defaults(processes):
         torch.set_default_dtype(before)
 
 
+@pytest.mark.slow
 def test_two_threads_that_use_processes_both_end(processes):
     found = {}
 

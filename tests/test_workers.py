@@ -53,6 +53,7 @@ def test_the_items_of_one_that_dies_are_done_again(processes, tmp_path, caplog):
     assert "a worker process died; its work is done again" in caplog.text
 
 
+@pytest.mark.slow
 def test_an_item_whose_worker_dies_twice_is_lost_and_no_other(processes):
     def work(k):
         if k == 2:
@@ -64,12 +65,14 @@ def test_an_item_whose_worker_dies_twice_is_lost_and_no_other(processes):
     assert isinstance(found[2], Lost) and "ended twice without an answer" in found[2].reason
 
 
+@pytest.mark.slow
 def test_one_that_dies_between_two_calls_is_replaced(processes):
     list(processes(lambda k: k, range(4)))
     worker_processes()[0].kill()
     assert list(processes(lambda k: k + 1, range(4))) == [1, 2, 3, 4]
 
 
+@pytest.mark.slow
 def test_an_error_ends_them_and_the_next_call_starts_others(processes):
     def work(k):
         if k == 0:

@@ -5,7 +5,6 @@ functions and items by value (cloudpickle), so that lambdas and what a script or
 """
 
 import atexit
-import gc
 import hashlib
 import logging
 import multiprocessing
@@ -133,8 +132,6 @@ class Workers:
         executor, self._executor, self._starting = self._executor, None, []
         if executor is not None and self._owner == os.getpid():
             executor.shutdown(wait=True, kill_workers=True)
-            del executor
-            gc.collect()  # its semaphores go with it, and not with loky's tracker, which would complain
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item], count: int) -> Iterator[Result | Lost]:
         """`function` of every item, in their order, in `count` workers.

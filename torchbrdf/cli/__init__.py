@@ -1,6 +1,7 @@
 """The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
 import argparse
+import atexit
 import os
 import signal
 import sys
@@ -46,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except EndedError as error:
         print("torchbrdf: stopped", file=sys.stderr)
         sys.stdout.flush()
-        # All is closed by now; to take torch apart takes the interpreter seconds on a busy machine.
+        # All is closed but what libraries registered; to take torch apart takes seconds on a busy machine.
+        atexit._run_exitfuncs()
         os._exit(128 + error.number)
     except KeyboardInterrupt:  # of a caller, who is no signal
         print("torchbrdf: stopped", file=sys.stderr)
