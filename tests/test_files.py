@@ -1,13 +1,21 @@
 """Files that are written whole or not at all."""
 
 import csv
+import errno
 import json
+import logging
 import math
+import os
+import subprocess
+import sys
+import threading
+import time
 
 import pytest
 
+from torchbrdf import files
 from torchbrdf.errors import DataError
-from torchbrdf.files import csv_text, write_csv, write_json
+from torchbrdf.files import csv_text, is_passing, locked, replacing, write_csv, write_json, write_text
 from torchbrdf.progress import part_of
 
 
@@ -40,3 +48,150 @@ def test_a_part_counts_on_from_what_was_done_before():
     part(1, 5)
     part(5, 5)
     assert calls == [(11, 30), (15, 30)]
+
+
+# --- what goes wrong while something is written ---------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def nothing_swept(monkeypatch):
+    """No folder has been looked through for leftovers yet."""
+    monkeypatch.setattr(files, "_swept", set())
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), RuntimeError("Failed to write pixel data.\nNo space left.")],
+)
+def test_a_full_disk_is_said_in_one_line_and_leaves_nothing(tmp_path, error):
+    (tmp_path / "x.exr").write_text("before")
+    expected = pytest.raises(DataError, match=r"x\.exr: cannot be written \(.*[Nn]o space left")
+    with expected as caught, replacing(tmp_path / "x.exr") as temporary:
+        temporary.write_bytes(b"half")
+        raise error
+    assert "\n" not in str(caught.value)
+    assert {one.name: one.read_text() for one in tmp_path.iterdir()} == {"x.exr": "before"}
+
+
+def test_a_temporary_file_has_the_suffix_and_a_name_that_fits_whatever_the_files_is(tmp_path):
+    with replacing(tmp_path / f"{'n' * 250}.exr") as temporary:
+        assert temporary.suffix == ".exr" and is_passing(temporary)
+    assert [one.name for one in tmp_path.iterdir()] == [f"{'n' * 250}.exr"]
+
+
+def test_two_threads_write_one_file_and_it_is_one_of_theirs(tmp_path):
+    texts = [str(k) * 100_000 for k in range(4)]
+
+    def write(text):
+        for _ in range(20):
+            write_text(tmp_path / "x.txt", text)
+
+    threads = [threading.Thread(target=write, args=(text,)) for text in texts]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [one.name for one in tmp_path.iterdir()] == ["x.txt"]
+    assert (tmp_path / "x.txt").read_text() in texts
+
+
+KILLED = """if True:
+    import os, signal, sys
+    from torchbrdf.files import replacing
+    with replacing(sys.argv[1]) as temporary:
+        temporary.write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_writer(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, tmp_path / "x.txt"], timeout=60)
+    (left,) = tmp_path.iterdir()
+    assert is_passing(left) and left.suffix == ".txt"
+    write_text(tmp_path / "y.txt", "whole")
+    assert [one.name for one in tmp_path.iterdir()] == ["y.txt"]
+
+
+def test_what_living_processes_and_other_machines_write_stays_for_a_day(tmp_path, monkeypatch):
+    own = f"{files._machine()}-{os.getpid()}-00000000.txt"
+    names = {
+        "gone": f".tmp-{files._machine()}-999999999-00000000.txt",
+        "reused": f".tmp-{own}",  # the number of this process, which does not write it
+        "parent": f".tmp-{files._machine()}-{os.getppid()}-00000000.txt",
+        "other": ".tmp-00000000-999999999-00000000.txt",
+        "old": ".tmp-00000000-999999999-00000001.txt",
+        "somebody's": ".tmp-notes",
+    }
+    for name in names.values():
+        (tmp_path / name).write_text("half")
+    a_day_ago = time.time() - 90_000
+    os.utime(tmp_path / names["old"], (a_day_ago, a_day_ago))
+    with replacing(tmp_path / "first.txt") as living:
+        files._swept.clear()
+        write_text(tmp_path / "second.txt", "whole")
+        assert living.exists()
+    left = {one.name for one in tmp_path.iterdir()}
+    assert left == {names["parent"], names["other"], names["somebody's"], "first.txt", "second.txt"}
+
+
+# --- locks ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_lock_is_for_one_and_leaves_nothing(tmp_path):
+    with locked(tmp_path):
+        expected = pytest.raises(DataError, match=r"another process has been at work in it; wait for its end")
+        with expected as caught, locked(tmp_path):
+            pass
+        assert "\n" not in str(caught.value)
+    with locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_who_waits_for_a_lock_says_so_and_gets_it(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(files, "_PATIENCE", 0.1)
+    held, order = threading.Event(), []
+
+    def hold():
+        with locked(tmp_path):
+            held.set()
+            time.sleep(0.5)
+            order.append("first")
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    held.wait()
+    with caplog.at_level(logging.WARNING, "torchbrdf"), locked(tmp_path, wait=60.0):
+        order.append("second")
+    thread.join()
+    assert order == ["first", "second"]
+    assert "waiting for another process" in caplog.text
+
+
+def test_a_lock_excludes_every_other_however_many_ask(tmp_path):
+    inside, most = [], []
+
+    def work():
+        for _ in range(10):
+            with locked(tmp_path, wait=60.0):
+                inside.append(1)
+                most.append(len(inside))
+                time.sleep(0.002)
+                inside.pop()
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(most) == 40 and max(most) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_lock_of_a_killed_process_is_no_trap(tmp_path):
+    code = "import os, sys; from torchbrdf.files import locked\nwith locked(sys.argv[1]): os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", code, tmp_path], timeout=60)
+    assert [one.name for one in tmp_path.iterdir()] == [".lock"]
+    with locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())

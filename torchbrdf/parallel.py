@@ -73,12 +73,14 @@ def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> It
         if rule != "always":
             yield from _in_threads(function, _until_processes(function, left, count), count)
         rest = list(left)
+        given = 0
         try:
-            if rest:
-                yield from WORKERS.map(function, rest, count)
+            for answer in WORKERS.map(function, rest, count) if rest else ():
+                given += 1
+                yield answer
         except CannotBeSentError as error:
             logger.info(THREADS, error)
-            yield from thread_map(function, rest)
+            yield from thread_map(function, rest[given:])
 
 
 def _until_processes(function: Callable[[Item], Result], items: Iterator[Item], count: int) -> Iterator[Item]:

@@ -140,7 +140,7 @@ class Workers:
         worker dies then too is lost.
 
         Raises:
-            CannotBeSentError: Before the first answer, for the function or the first item.
+            CannotBeSentError: The function or the next item cannot be pickled here, or unpickled there.
             RuntimeError: Workers die as they start.
         """
         import cloudpickle
@@ -190,6 +190,11 @@ class Workers:
                     answer = done.pop(following)
                     yield answer if isinstance(answer, Lost) else cloudpickle.loads(answer.result())
                     following += 1
+        except CannotBeSentError:
+            wait(running)
+            running.clear()
+            done.clear()
+            raise
         finally:
             self._used = time.monotonic()
             if running or done:
@@ -281,10 +286,18 @@ def _watch(parent: int) -> None:
 
 
 def _unpack(call: bytes) -> None:
-    """Import what a function needs, by unpickling it."""
+    """Import what a function needs, by unpickling it; whether that can be done is seen when it is called."""
+    with suppress(CannotBeSentError):
+        _unpacked(call)
+
+
+def _unpacked(data: bytes) -> Any:
     import cloudpickle
 
-    cloudpickle.loads(call)
+    try:
+        return cloudpickle.loads(data)
+    except Exception as error:  # a module that is not on this process's path, or whatever __setstate__ raises
+        raise CannotBeSentError(f"{type(error).__name__}: {error}") from error
 
 
 def _work(key: bytes, call: bytes, item: bytes, settings: tuple[Any, ...]) -> bytes:
@@ -294,12 +307,12 @@ def _work(key: bytes, call: bytes, item: bytes, settings: tuple[Any, ...]) -> by
 
     global _function
     if _function[0] != key:
-        _function = key, cloudpickle.loads(call)
+        _function = key, _unpacked(call)
     dtype, device, precision = settings
     torch.set_default_dtype(dtype)
     torch.set_default_device(device)
     torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    answer: bytes = cloudpickle.dumps(_function[1](cloudpickle.loads(item)))
+    answer: bytes = cloudpickle.dumps(_function[1](_unpacked(item)))
     return answer

@@ -352,9 +352,7 @@ def test_what_would_take_days_or_all_memory_is_refused(monkeypatch):
     with pytest.raises(UsageError, match="expected at most"):
         scale(comparisons, draws=-1)
     many = [replace(answer, observer=f"o{k}") for k in range(20) for answer in answers]
-    with pytest.raises(
-        DataError, match="expected at most 1073741824 bytes of counts, found 1440960160: 20"
-    ):
+    with pytest.raises(DataError, match="expected at most 1073741824 bytes of counts, found 1440960160: 20"):
         Comparisons.from_answers(many)
     monkeypatch.setenv("TORCHBRDF_MAX_BYTES", "1000")
     with pytest.raises(DataError, match="expected at most 1000 bytes of counts"):

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.files import write_text
+from torchbrdf.files import is_passing, locked, write_text
 from torchbrdf.measured import PAPER_TEN, load, standins
 from torchbrdf.recipe import RECIPES, Recipe, configure, describe, find_recipe, parse, run
 from torchbrdf.study import MEASURED, Plan, read_answers, simulated
@@ -118,6 +118,19 @@ def test_a_run_goes_on_in_its_own_folder_only(tmp_path):
     (foreign / "thesis.tex").write_text("x")
     with pytest.raises(UsageError, match="expected an empty folder"):
         run(Toy(), foreign)
+
+
+def test_a_folder_where_another_process_runs_is_refused_in_a_line(tmp_path):
+    with locked(tmp_path / "out"), pytest.raises(DataError, match="another process has been at work in it"):
+        run(Toy(), tmp_path / "out")
+    assert run(Toy(), tmp_path / "out").read_text() == "3\n"
+    assert not any(is_passing(path) for path in (tmp_path / "out").iterdir())
+
+
+def test_a_run_that_was_killed_as_it_began_is_taken_up(tmp_path):
+    (tmp_path / ".lock").touch()
+    (tmp_path / ".tmp-00000000-1-00000000.json").write_text("{")
+    assert run(Toy(), tmp_path).read_text() == "3\n"
 
 
 def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path):

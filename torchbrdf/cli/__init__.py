@@ -1,5 +1,6 @@
 """The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
+import atexit
 import io
 import os
 import signal
@@ -46,9 +47,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (TorchbrdfError, OSError) as error:
         print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt as error:
+    except EndedError as error:
         print("torchbrdf: stopped", file=sys.stderr)
-        return 128 + (error.number if isinstance(error, EndedError) else signal.SIGINT)
+        sys.stdout.flush()
+        # All is closed but what libraries registered; to take torch apart takes seconds on a busy machine.
+        atexit._run_exitfuncs()
+        os._exit(128 + error.number)
+    except KeyboardInterrupt:  # of a caller, who is no signal
+        print("torchbrdf: stopped", file=sys.stderr)
+        return 128 + signal.SIGINT
 
 
 def build_parser() -> Parser:

@@ -3,6 +3,7 @@
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -101,7 +102,8 @@ def fit(
     if not len(measured):
         raise UsageError("fit: expected at least one material, found none")
     began = time.perf_counter()
-    run = STRATEGIES[strategy] if isinstance(strategy, str) else strategy
+    if isinstance(strategy, str):
+        STRATEGIES[strategy]
     loss = as_loss(loss)
     if loss.objective == "autograd" or not loss.has_closed_derivatives:
         warnings.warn(
@@ -122,27 +124,9 @@ def fit(
     free_components = [part for k, part in enumerate(model.components()) if k not in held]
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
-    def fit_some(rows: list[int], some: Measured) -> _Fitted:
-        values = take_materials(start, rows)
-        part = with_parameters(model, values)
-        whole = _without_idle_weight(loss.problem(some))
-        full = make_objective(part, whole, loss)
-        if subset is None:
-            task = Task(part, full, None, max_iterations)
-        else:
-            seen = whole.select(samples=subset.to(some.device))
-            task = Task(part, make_objective(part, seen, loss), full, max_iterations)
-        outcome = run(task, values, diffuse == "fit")
-        if not isinstance(outcome, Outcome):
-            found = type(outcome).__name__
-            raise UsageError(f"strategy {strategy_name(strategy)}: expected an Outcome from it, found {found}")
-        fitted = with_parameters(part, outcome.values)
-        subset_error = errors([fitted], task.objective.problem, [loss])[0, 0]
-        error = subset_error if subset is None else errors([fitted], whole, [loss])[0, 0]
-        return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
-
+    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations)
     found: list[tuple[list[int], _Fitted | Lost]] = []
-    for rows, one in parallel_map(fit_some, measured):
+    for rows, one in parallel_map(work, measured):
         found.append((rows, one))
         progress(sum(len(rows) for rows, _ in found), len(measured))
     done = _with_lost(found, start, reasons)
@@ -182,6 +166,40 @@ class _Fitted(NamedTuple):
     error: Tensor
     subset_error: Tensor
     counts: Tensor
+
+
+@dataclass
+class _FitSome:
+    """The fit of some materials, the work of one thread or process at a time."""
+
+    model: Lobe
+    start: ParameterDict
+    loss: Loss
+    subset: Tensor | None
+    strategy: str | Strategy
+    fit_diffuse: bool
+    max_iterations: int
+
+    def __call__(self, rows: list[int], measured: Measured) -> _Fitted:
+        """The fits of these rows of all materials, of which `measured` is that part."""
+        loss, run = self.loss, STRATEGIES[self.strategy] if isinstance(self.strategy, str) else self.strategy
+        values = take_materials(self.start, rows)
+        part = with_parameters(self.model, values)
+        whole = _without_idle_weight(loss.problem(measured))
+        full = make_objective(part, whole, loss)
+        if self.subset is None:
+            task = Task(part, full, None, self.max_iterations)
+        else:
+            some = whole.select(samples=self.subset.to(measured.device))
+            task = Task(part, make_objective(part, some, loss), full, self.max_iterations)
+        outcome = run(task, values, self.fit_diffuse)
+        if not isinstance(outcome, Outcome):
+            found = type(outcome).__name__
+            raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
+        fitted = with_parameters(part, outcome.values)
+        subset_error = errors([fitted], task.objective.problem, [loss])[0, 0]
+        error = subset_error if self.subset is None else errors([fitted], whole, [loss])[0, 0]
+        return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
 
 
 def _with_lost(

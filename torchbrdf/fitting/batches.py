@@ -63,6 +63,11 @@ class Batches:
         self.model, self.loss, self.out, self.settings = model, as_loss(loss), out, settings
         self.stored = self._read()
 
+    @property
+    def done(self) -> dict[str, FitRecord]:
+        """The fits that need not be made again, by material."""
+        return _done(self.stored)
+
     def _read(self) -> dict[str, FitRecord]:
         """What the folder holds, by material."""
         if self.out is None or not (self.out / FITS).exists():
@@ -83,7 +88,7 @@ class Batches:
         if twice and self.out is not None:
             raise DataError(f"{twice[0]}: comes twice; give each file a name of its own")
         found: list[FitRecord] = []
-        before = _done(self.stored)
+        before = self.done
         for group in groups:
             left = [k for k, name in enumerate(group.names) if name not in before]
             done = len(found) + len(group) - len(left)
