@@ -427,8 +427,52 @@ def test_what_is_no_database_gets_one_line(plan, tmp_path, there):
         path.write_text("answers, for sure\n" * 100)
     elif there == "folder":
         path.mkdir()
-    with pytest.raises(DataError, match=r"study\.sqlite: expected the database of a study that can be written \(.+\)$"):
+    with pytest.raises(
+        DataError, match=r"study\.sqlite: expected the database of a study that can be written, found .+$"
+    ):
         Store(path, plan)
+
+
+DAMAGES = {
+    "a table is gone": "DROP TABLE trials",
+    "a column is called otherwise": "ALTER TABLE answers RENAME COLUMN side TO hand",
+    "a time is text": "UPDATE answers SET response_time = 'long'",
+    "a time is endless": "UPDATE answers SET response_time = 9e999",
+    "a seed is none": "UPDATE observers SET seed = 'seven'",
+    "a name has two lines": "UPDATE trials SET material = char(97, 10, 98)",
+    "a name is bytes": "UPDATE trials SET left = x'ff00'",
+    "a kind is unknown": "UPDATE trials SET kind = 'other'",
+    "more answers than trials": "UPDATE observers SET trials = -1",
+    "a profile is no JSON": "UPDATE observers SET reports = '{'",
+    "pages are damaged": "",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_database_is_named_in_one_line(plan, tmp_path, damage):
+    store = Store(tmp_path / STORE, plan)
+    token = ready(store)
+    store.answer(token, 0, "left", 1.0)
+    store.close()
+    if DAMAGES[damage]:
+        with sqlite3.connect(tmp_path / STORE) as db:
+            db.execute("PRAGMA ignore_check_constraints = ON")
+            db.execute(DAMAGES[damage])
+        db.close()
+    else:
+        data = bytearray((tmp_path / STORE).read_bytes())
+        data[4096:] = b"\xff" * (len(data) - 4096)
+        (tmp_path / STORE).write_bytes(data)
+    with pytest.raises(DataError, match=r"study\.sqlite: .*(expected|database)"):
+        use_all(tmp_path / STORE, plan, token)
+
+
+def use_all(path, plan, token):
+    store = Store(path, plan)
+    try:
+        store.answers(), store.profiles(), store.counts(EXPERIMENT), store.trial(store.state(token), 0)
+    finally:
+        store.close()
 
 
 def test_an_unknown_experiment(store):

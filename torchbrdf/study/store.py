@@ -9,10 +9,13 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.study.answers import Answer
+from torchbrdf.reading import reading
+from torchbrdf.study.answers import Answer, Kind
 from torchbrdf.study.database import Database
 from torchbrdf.study.design import Trial, observer_seed, trials
 from torchbrdf.study.plan import PLAN, Plan
@@ -20,6 +23,13 @@ from torchbrdf.study.plan import PLAN, Plan
 STORE = "study.sqlite"
 SIDES = ("left", "right")
 Stage = Literal["questions", "screen", "trials", "done", "screened"]
+HELD = "the database of a study"
+
+# What its columns hold: SQLite itself takes anything anywhere.
+Side = Literal["left", "right"]
+Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+Seed = Annotated[str, msgspec.Meta(pattern=r"^-?[0-9]{1,1000}$")]
+T = TypeVar("T")
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS plans (experiment TEXT PRIMARY KEY, fingerprint TEXT NOT NULL);
@@ -92,13 +102,12 @@ class Store:
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
         self.path, self.plan = Path(path), plan
-        try:
+        with reading(self.path, f"{HELD} that can be written"):
             self._database = Database(self.path, SCHEMA)
-        except sqlite3.Error as error:
-            raise DataError(f"{self.path}: expected the database of a study that can be written ({error})") from None
         try:
-            for (name,) in self._read("SELECT experiment FROM plans").fetchall():
-                self._check(self._database.connection(), name)
+            for (name,) in self._read("SELECT experiment FROM plans", tuple[str]):
+                with reading(self.path, HELD):
+                    self._check(self._database.connection(), name)
         except BaseException:
             self.close()
             raise
@@ -134,15 +143,19 @@ class Store:
 
     def state(self, token: str) -> State:
         """State of an observer, by their link's token."""
-        return _state(self._database.connection(), token)
+        with reading(self.path, HELD):
+            return _state(self._database.connection(), token)
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
-        row = self._read(
+        rows = self._read(
             "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
+            tuple[str, str, str, Kind],
             (state.observer, position),
         )
-        return Trial(*row.fetchone())
+        if not rows:
+            raise DataError(f"{self.path}: expected trial {position} of {observer_name(state.observer)}, found none")
+        return Trial(*rows[0])
 
     def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
@@ -199,18 +212,23 @@ class Store:
             " FROM answers JOIN observers ON observers.id = answers.observer"
             " JOIN trials ON trials.observer = answers.observer AND trials.position = answers.position"
             " WHERE ? IS NULL OR experiment = ? ORDER BY observers.id, answers.position",
+            tuple[int, str, str, str, str, Side, Seconds, str, Seed, Kind],
             (experiment, experiment),
         )
-        return [
-            Answer(observer_name(who), name, what, a, b, a if side == "left" else b, time, stamp, int(seed), kind)
-            for who, name, what, a, b, side, time, stamp, seed, kind in rows
-        ]
+        try:
+            return [
+                Answer(observer_name(who), name, what, a, b, a if side == "left" else b, time, stamp, int(seed), kind)
+                for who, name, what, a, b, side, time, stamp, seed, kind in rows
+            ]
+        except DataError as error:
+            raise DataError(f"{self.path}: {error}") from None
 
     def profiles(self) -> list[dict[str, Any]]:
         """Profiles of observers; `reports`, `screen` and `let_in` are None before they said so."""
         rows = self._read(
             "SELECT id, experiment, number, seed, consented, let_in, reports, screen, trials,"
-            " (SELECT COUNT(*) FROM answers WHERE observer = observers.id) FROM observers ORDER BY id"
+            " (SELECT COUNT(*) FROM answers WHERE observer = observers.id) FROM observers ORDER BY id",
+            tuple[int, str, int, Seed, str, int | None, str | None, str | None, int, int],
         )
         return [
             {
@@ -220,8 +238,8 @@ class Store:
                 "seed": int(seed),
                 "consented": consented,
                 "let_in": None if eligible is None else bool(eligible),
-                "reports": None if reports is None else json.loads(reports),
-                "screen": None if screen is None else json.loads(screen),
+                "reports": self._said(reports),
+                "screen": self._said(screen),
                 "trials": count,
                 "answered": answered,
             }
@@ -230,12 +248,12 @@ class Store:
 
     def counts(self, experiment: str) -> tuple[int, int]:
         """Counts of an experiment's observers and of its answers."""
-        both = self._read(
+        ((observers, answers),) = self._read(
             "SELECT (SELECT COUNT(*) FROM observers WHERE experiment = ?), (SELECT COUNT(*) FROM answers"
             " JOIN observers ON observers.id = answers.observer WHERE experiment = ?)",
+            tuple[int, int],
             (experiment, experiment),
         )
-        observers, answers = both.fetchone()
         return observers, answers
 
     def checkpoints(self) -> AbstractContextManager[None]:
@@ -250,8 +268,16 @@ class Store:
         """Close the connections of all threads; none may be at work."""
         self._database.close()
 
-    def _read(self, statement: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
-        return self._database.connection().execute(statement, values)
+    def _read(self, statement: str, kind: type[T], values: tuple[Any, ...] = ()) -> list[T]:
+        """Rows of some kind; a DataError that names the file if it is damaged, or holds something else."""
+        with reading(self.path, HELD):
+            rows = self._database.connection().execute(statement, values).fetchall()
+            return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+
+    def _said(self, text: str | None) -> Any:
+        """What an observer said, as JSON; None before they did."""
+        with reading(self.path, HELD):
+            return None if text is None else msgspec.json.decode(text)
 
     def _check(self, db: sqlite3.Connection, experiment: str) -> None:
         """A DataError if observers of an experiment began with another plan."""
@@ -291,7 +317,10 @@ def _state(db: sqlite3.Connection, token: str) -> State:
     ).fetchone()
     if row is None:
         raise UnknownObserverError("this link is not known")
-    observer, count, eligible, checked, position = row
+    # What it gives that cannot be is a ValueError for who knows the file.
+    observer, count, eligible, checked, position = msgspec.convert(row, tuple[int, int, int | None, int, int])
+    if not 0 <= position <= count:
+        raise ValueError(f"{position} answers to {count} trials")
     if eligible is None:
         stage: Stage = "questions"
     elif not eligible:
