@@ -310,6 +310,12 @@ def test_bad_fields_are_named(field: str, value: Any, message: str, tmp_path: Pa
         read_published(path)
 
 
+def test_a_reflectance_is_one(tmp_path: Path) -> None:
+    fit = {"diffuse": [0.1] * 3, "model": "NganCookTorrance", "specular": [0.1] * 3, "roughness": 0.1, "eta": 1.5}
+    with pytest.raises(DataError, match=r"tin, eta: expected numbers from 0 to 1, found 1\.5"):
+        read_published(write(tmp_path, {"ngan_cooktorrance": {"tin": fit}}))
+
+
 def test_numbers_that_make_no_finite_parameter_are_named(tmp_path: Path) -> None:
     fit = {"diffuse": [0.1] * 3, "model": "Bagher", "eta": [[0.1] * 3] * 2}
     fit |= {name: [0.5] * 3 for name in ("specular", "alpha", "p", "K", "Lambda", "c", "k", "theta0")}

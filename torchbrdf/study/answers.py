@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from torchbrdf.errors import DataError, shown
+from torchbrdf.errors import DataError, one_line, shown
 from torchbrdf.files import quoted, unquoted, write_text
 from torchbrdf.names import LONGEST_NAME, is_one_line
 from torchbrdf.study.selection import LEFT, SELECTIONS, Shown, chosen_sides
@@ -215,9 +215,8 @@ class _Optional:
     def log(self) -> None:
         """Say how much was missing."""
         for name, (count, first) in self.missing.items():
-            logging.getLogger("torchbrdf").warning(
-                "torchbrdf: %s that cannot be read counts as missing, in %d answers; the first: %s", name, count, first
-            )
+            said = f"{name} that cannot be read counts as missing, in {count} answers; the first: {first}"
+            logging.getLogger("torchbrdf").warning("torchbrdf: %s", one_line(said))
 
 
 def _answer(cells: Mapping[str, str], side: str, line: str, optional: _Optional) -> Answer:

@@ -46,7 +46,7 @@ class _Reading:
 
     model: the `model` of each fit; lobe: a registered one; fields: the shape of each number of a fit; positive: those
     that must be above 0; parameters: from fields, `(M, k)`, to the lobe's parameters; raw: whether the fits lack
-    MERL's CHANNEL_FACTORS.
+    MERL's CHANNEL_FACTORS; reflectance: the field that is one, from 0 to 1.
     """
 
     source: str
@@ -56,6 +56,7 @@ class _Reading:
     positive: tuple[str, ...]
     parameters: Callable[[Numbers], Numbers]
     raw: bool = False
+    reflectance: str = ""
 
 
 def _bagher(fit: Numbers) -> Numbers:
@@ -104,6 +105,7 @@ SETS = {
         ("roughness",),
         lambda fit: {"specular": fit["specular"] / math.pi, "roughness": fit["roughness"], "f0": fit["eta"]},
         raw=True,
+        reflectance="eta",
     ),
     "ngan_ashikhminshirley": _Reading(
         NGAN,
@@ -113,6 +115,7 @@ SETS = {
         ("sharpness",),
         lambda fit: {"specular": fit["specular"], "exponent": fit["sharpness"], "f0": fit["fresnelReflectance"]},
         raw=True,
+        reflectance="fresnelReflectance",
     ),
     "low_lowmicrofacet_E2": _Reading(
         LOW,
@@ -204,7 +207,7 @@ def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, chann
         if fit.get("model") != reading.model:
             raise DataError(f"{where}, model: expected {reading.model!r}, found {shown(fit.get('model'))}")
         for field, shape in fields.items():
-            columns[field].append(_numbers(f"{where}, {field}", fit, field, shape, field in reading.positive))
+            columns[field].append(_numbers(f"{where}, {field}", fit, field, shape, _bounds(reading, field)))
     stacked = {field: torch.stack(rows) for field, rows in columns.items()}
     diffuse, values = stacked["diffuse"], reading.parameters(stacked)
     if reading.raw and channel_scales:
@@ -220,7 +223,17 @@ def _read_set(path: Path, name: str, fits: Any, dtype: torch.dtype | None, chann
     return PublishedFits(name, reading.source, list(fits), model)
 
 
-def _numbers(where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...], positive: bool) -> Tensor:
+def _bounds(reading: _Reading, field: str) -> tuple[float, float]:
+    """What numbers of a field may be."""
+    if field == reading.reflectance:
+        return 0.0, 1.0
+    least = SMALLEST if field in reading.positive else 0.0 if field in ALBEDOS else -LARGEST
+    return least, LARGEST_C if field == "c" else LARGEST
+
+
+def _numbers(
+    where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...], bounds: tuple[float, float]
+) -> Tensor:
     """One field of a fit as a float64 tensor of this shape; a scalar in the file is `(1,)`."""
     if field not in fit:
         raise DataError(f"{where}: expected {_kind(shape)}, found no such field")
@@ -228,8 +241,7 @@ def _numbers(where: str, fit: dict[str, Any], field: str, shape: tuple[int, ...]
     flat = [found] if shape == NUMBER else _flat(found, shape)
     if flat is None or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in flat):
         raise DataError(f"{where}: expected {_kind(shape)}, found {shown(found)}")
-    least = SMALLEST if positive else 0.0 if field in ALBEDOS else -LARGEST
-    most = LARGEST_C if field == "c" else LARGEST
+    least, most = bounds
     if not all(least <= x <= most for x in flat):
         raise DataError(f"{where}: expected numbers from {least:g} to {most:g}, found {shown(found)}")
     return torch.tensor(flat, dtype=torch.float64, device="cpu").reshape(shape)
