@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -92,6 +93,8 @@ class Store:
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
         self.path, self.plan = Path(path), plan
+        # Trials are fixed, and each is asked for once for each of its pictures.
+        self._trial = lru_cache(maxsize=10_000)(self._read_trial)
         try:
             self._database = Database(self.path, SCHEMA)
         except sqlite3.Error as error:
@@ -138,11 +141,7 @@ class Store:
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
-        row = self._read(
-            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
-            (state.observer, position),
-        )
-        return Trial(*row.fetchone())
+        return self._trial(state.observer, position)
 
     def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
@@ -249,6 +248,12 @@ class Store:
     def close(self) -> None:
         """Close the connections of all threads; none may be at work."""
         self._database.close()
+
+    def _read_trial(self, observer: int, position: int) -> Trial:
+        row = self._read(
+            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?", (observer, position)
+        )
+        return Trial(*row.fetchone())
 
     def _read(self, statement: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
         return self._database.connection().execute(statement, values)
