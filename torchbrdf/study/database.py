@@ -53,10 +53,10 @@ class Database:
         self._place = self._find()
 
     def connection(self) -> sqlite3.Connection:
-        """This thread's own, to read with; a DataError if the file is not there any more."""
-        self.check_place()
+        """This thread's own, to read with; a DataError if it is made when the file is not there any more."""
         found: sqlite3.Connection | None = getattr(self._own, "connection", None)
         if found is None:
+            self.check_place()
             # isolation_level: transactions are those that are written here. Others' threads only ever close it.
             found = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
             try:
@@ -160,6 +160,7 @@ class Database:
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         if time.monotonic() < self._shut:
             raise DataError(f"{self.path}: another process has it locked")
+        self.check_place()
         db = self.connection()
         try:
             db.execute("BEGIN IMMEDIATE")

@@ -8,6 +8,7 @@ import sqlite3
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,8 @@ MINUTE = 60.0
 # So many trials after the current one may be loaded ahead; so few that nobody can look through the study.
 AHEAD = 2
 LARGEST_BODY = 16 * 1024
+# Bytes of pictures that are kept in memory.
+PICTURES_KEPT = 2**26
 # Seconds; a page that is left open for longer says this.
 LONGEST_RESPONSE = 86_400.0
 
@@ -150,6 +153,11 @@ def make_app(
     texts = {key: re.split(r"\n\s*\n", plan.text(key).strip()) for key in TEXTS}
     pictures = find_pictures(plan, Path(folder))
 
+    # Many observers see the same pictures.
+    @lru_cache(maxsize=max(1, PICTURES_KEPT // max(path.stat().st_size for path, _ in pictures.values())))
+    def plain(path: Path) -> bytes:
+        return plain_png(read_bytes(path, "a PNG"), path)
+
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
     app.url_map.merge_slashes = False  # a climbing path is not put right, but refused
@@ -228,7 +236,7 @@ def make_app(
             abort(403, "this picture is not to be seen now")
         pair = store.trial(now, trial)
         path, _ = pictures[pair.material, None if what == "reference" else getattr(pair, what)]
-        found = Response(plain_png(read_bytes(path, "a PNG"), path), content_type="image/png")
+        found = Response(plain(path), content_type="image/png")
         found.headers["Cache-Control"] = "private, max-age=3600"
         return found
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -102,6 +103,8 @@ class Store:
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
         self.path, self.plan = Path(path), plan
+        # Trials are fixed, and each is asked for once for each of its pictures.
+        self._trial = lru_cache(maxsize=10_000)(self._read_trial)
         with reading(self.path, f"{HELD} that can be written"):
             self._database = Database(self.path, SCHEMA)
         try:
@@ -148,14 +151,7 @@ class Store:
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
-        rows = self._read(
-            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
-            tuple[str, str, str, Kind],
-            (state.observer, position),
-        )
-        if not rows:
-            raise DataError(f"{self.path}: expected trial {position} of {observer_name(state.observer)}, found none")
-        return Trial(*rows[0])
+        return self._trial(state.observer, position)
 
     def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
@@ -267,6 +263,16 @@ class Store:
     def close(self) -> None:
         """Close the connections of all threads; none may be at work."""
         self._database.close()
+
+    def _read_trial(self, observer: int, position: int) -> Trial:
+        rows = self._read(
+            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
+            tuple[str, str, str, Kind],
+            (observer, position),
+        )
+        if not rows:
+            raise DataError(f"{self.path}: expected trial {position} of {observer_name(observer)}, found none")
+        return Trial(*rows[0])
 
     def _read(self, statement: str, kind: type[T], values: tuple[Any, ...] = ()) -> list[T]:
         """Rows of some kind; a DataError that names the file if it is damaged, or holds something else."""
