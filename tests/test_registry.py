@@ -9,8 +9,12 @@ from pathlib import Path
 import pytest
 
 from torchbrdf.errors import UsageError
+from torchbrdf.fitting import STRATEGIES
+from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import LOBES
 from torchbrdf.losses import LOSSES
+from torchbrdf.measured import FORMATS
+from torchbrdf.recipe import RECIPES
 from torchbrdf.registry import Registry, unknown
 
 
@@ -59,6 +63,23 @@ def test_a_name_is_registered_once() -> None:
     things.register("one")(1)
     with pytest.raises(UsageError, match="thing 'one' is registered twice: 1 and 2"):
         things.register("one")(2)
+
+
+@pytest.mark.parametrize("name", ["", "two words", "../up", "a-b", "1st", "\x1b[31m", "x" * 65, "größe", None, 7])
+def test_a_name_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(
+        UsageError, match=r"^thing: expected a name of letters, digits and underscores, found "
+    ) as caught:
+        Registry("thing", "nowhere").register(name)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("registry", [LOBES, LOSSES, DIFFERENCES, FORMATS, STRATEGIES, RECIPES], ids=lambda r: r.kind)
+@pytest.mark.parametrize("thing", [3, None, "ward", [1]])
+def test_a_thing_of_another_kind_is_refused(registry: Registry, thing: object) -> None:
+    with pytest.raises(UsageError, match=rf"^{registry.kind} 'odd': expected a (subclass of|function).*, found "):
+        registry.register("odd")(thing)
+    assert "odd" not in registry
 
 
 def test_an_alias_finds_a_thing_but_is_not_listed() -> None:

@@ -168,7 +168,7 @@ def read_json(path: Path | str, kind: type[T] | Any, expected: str) -> T:
 def _reason(error: Exception) -> str:
     """msgspec's message, such as "Expected `str`, got `null` - at `$[0].material`", as a part of ours."""
     text = str(error)
-    return text[:1].lower() + text[1:]
+    return text if text.startswith("JSON") else text[:1].lower() + text[1:]
 
 
 def write_npz(path: Path | str, arrays: Mapping[str, "np.ndarray"], *, compressed: bool = False) -> None:

@@ -22,7 +22,7 @@ from torchbrdf.progress import Progress, quiet
 from torchbrdf.reading import read_json
 from torchbrdf.registry import Registry, unknown
 
-RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes")
+RECIPES: Registry[type["Recipe"]] = Registry("recipe", "torchbrdf.recipes", "torchbrdf.recipes", lambda: Recipe)
 
 
 @dataclass(frozen=True)

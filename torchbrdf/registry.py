@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Registered = TypeVar("Registered")
 
+# Characters of a name.
+LONGEST = 64
+
 log = logging.getLogger("torchbrdf")
 
 
@@ -53,6 +56,8 @@ class Registry(Mapping[str, T], Generic[T]):
         kind: what things these are, for messages.
         package: the package whose modules register things.
         group: the group of entry points in which other packages offer more; none without.
+        base: gives the class that things are subclasses of; None: things are anything that can be called; a registry
+            without it takes anything.
 
     Example:
         >>> from torchbrdf.lobes import LOBES
@@ -60,8 +65,8 @@ class Registry(Mapping[str, T], Generic[T]):
         (True, 'Ward')
     """
 
-    def __init__(self, kind: str, package: str, group: str = "") -> None:
-        self.kind, self.package, self.group = kind, package, group
+    def __init__(self, kind: str, package: str, group: str = "", base: Callable[[], type | None] | None = None) -> None:
+        self.kind, self.package, self.group, self.base = kind, package, group, base
         self._things: dict[str, T] = {}
         self._aliases: dict[str, str] = {}
         self._complete = False
@@ -72,13 +77,13 @@ class Registry(Mapping[str, T], Generic[T]):
         """Register what is decorated.
 
         Args:
-            name: the name to find it by.
+            name: the name to find it by, of letters, digits and underscores.
 
         Returns:
             A decorator that gives back what it decorates.
 
         Raises:
-            UsageError: the name is taken.
+            UsageError: the name is taken, or none; or what is decorated is of another kind.
 
         Example:
             >>> from torchbrdf.registry import Registry
@@ -86,14 +91,27 @@ class Registry(Mapping[str, T], Generic[T]):
             >>> greetings.register("hello")(print)
             <built-in function print>
         """
+        if not (isinstance(name, str) and name.isidentifier() and name.isascii() and len(name) <= LONGEST):
+            raise UsageError(f"{self.kind}: expected a name of letters, digits and underscores, found {shown(name)}")
 
         def put(thing: Registered) -> Registered:
             if name in self._things:
-                raise UsageError(f"{self.kind} {name!r} is registered twice: {self._things[name]!r} and {thing!r}")
+                both = f"{shown(self._things[name])} and {shown(thing)}"
+                raise UsageError(f"{self.kind} {name!r} is registered twice: {both}")
+            self._check(name, thing)
             self._things[name] = thing  # type: ignore[assignment]  # decorators keep the type of what they decorate
             return thing
 
         return put
+
+    def _check(self, name: str, thing: object) -> None:
+        """A UsageError for a thing of another kind."""
+        if self.base is None:
+            return
+        base = self.base()
+        if not (callable(thing) if base is None else isinstance(thing, type) and issubclass(thing, base)):
+            wanted = "a function" if base is None else f"a subclass of {base.__name__}"
+            raise UsageError(f"{self.kind} {name!r}: expected {wanted}, found {shown(thing)}")
 
     def alias(self, old: str, new: str) -> None:
         """Let a former name go on finding a thing; it is not listed.
@@ -182,6 +200,7 @@ class Registry(Mapping[str, T], Generic[T]):
             offer = self._offered()[name]
             try:
                 thing = offer.load()
+                self._check(name, thing)
             except (Exception, SystemExit) as error:  # whatever other people's code raises
                 inner = error.__cause__ if str(error).startswith("Error calling __set_name__") else None
                 reason = " ".join(f"{type(inner or error).__name__}: {inner or error}".split())

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from torchbrdf.cli import main
+from torchbrdf.cli import build_parser, main
 from torchbrdf.cli.common import number
 
 
@@ -89,11 +89,23 @@ def test_run_lists_recipes_and_settings(capsys):
         (["fit", "PAINT", "--model", "wardd"], 2, "unknown lobe 'wardd'.*did you mean 'ward'"),
         (["fit", "PAINT", "--loss", "cube"], 2, "unknown loss 'cube'"),
         (["fit", "PAINT", "--strategy", "luck"], 2, "unknown strategy 'luck'"),
+        (["fit", "PAINT", "--diffuse", "90:0"], 2, "unknown --diffuse '90:0'; expected one of 45:0, fit"),
         (
-            ["fit", "PAINT", "--max-theta", "120"],
+            ["fit", "PAINT", "--difference", "flip"],
             2,
-            "max_theta: expected an angle above 0 and at most 90",
+            "--difference: expected only with --loss rendered, found --loss cu",
         ),
+        (["fit", "PAINT", "--size", "64", "--loss", "rms"], 2, "--size: expected only with --loss rendered"),
+        (["fit", "PAINT", "--loss", "rendered", "--difference", "nope"], 2, "unknown difference 'nope'"),
+        (["fit", "BAD", "--loss", "rendered"], 1, "bad.json: fit 0: material: expected a name .*, found '../../x'"),
+        (["fit", "PAINT", "--out", "BADOUT"], 1, "fits.json: fit 0: material: expected a name"),
+        (["render", "BAD"], 1, "bad.json: fit 0: material: expected a name"),
+        (["info", "BAD"], 1, "bad.json: fit 0: material: expected a name"),
+        (["run", "fores2012", "materials=BAD", "--out", "OUT"], 1, "bad.json: fit 0: material: expected a name"),
+        (["run", "fores2012", "quick=true", "quick=false"], 2, "'quick': expected once, found twice"),
+        (["run", "fores2012", "seed=" + "1" * 23], 2, "seed: expected a whole number from 0 to 9223372036854775807"),
+        (["run", "fores2012", "models=ward,ward"], 2, "models: expected each name once, found 'ward' twice"),
+        (["run", "fores2012", "diffuse=90:0"], 2, "unknown diffuse of fores2012 '90:0'"),
         (["run", "fores2021"], 2, "unknown recipe 'fores2021'.*did you mean 'fores2012'"),
         (["run", "fores2012", "quik=true"], 2, "unknown setting of fores2012 'quik'"),
         (["run", "fores2012", "quick"], 2, "expected key=value, found 'quick'"),
@@ -112,7 +124,12 @@ def test_run_lists_recipes_and_settings(capsys):
     ],
 )
 def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, said):
-    filled = [a.replace("PAINT", str(paint)).replace("OUT", str(tmp_path / "out")) for a in arguments]
+    values = [{**json.loads(paint.read_text())[0], "material": "../../x"}]
+    (tmp_path / "bad").mkdir()
+    for path in (tmp_path / "bad.json", tmp_path / "bad" / "fits.json"):
+        path.write_text(json.dumps(values))
+    places = {"PAINT": paint, "BADOUT": tmp_path / "bad", "BAD": tmp_path / "bad.json", "OUT": tmp_path / "out"}
+    filled = [re.sub("PAINT|BADOUT|BAD|OUT", lambda found: str(places[found[0]]), a) for a in arguments]
     assert main(filled) == status
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and printed.err.startswith("torchbrdf: ")
@@ -127,6 +144,12 @@ def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, sai
         (["fit"], "torchbrdf fit: the following arguments are required: files; see torchbrdf fit --help"),
         (["fit", "x", "--lobes", "0"], "torchbrdf fit: --lobes: expected a whole number from 1 to 8, found '0'; see"),
         (["fit", "x", "--lobes", "9" * 9000], r"expected a whole number from 1 to 8, found '9+ \.\.\. 9+'; see"),
+        (["fit", "x", "--max-theta", "nan"], "--max-theta: expected a number from 1 to 90, found 'nan'"),
+        (["fit", "x", "--max-theta", "120"], "--max-theta: expected a number from 1 to 90, found '120'"),
+        (["fit", "x", "--samples", "-1"], "--samples: expected a whole number from 1 to 10000000, found '-1'"),
+        (["fit", "x", "--seed", "1" * 23], "--seed: expected a whole number from 0 to 9223372036854775807, found"),
+        (["fit", "x", "--size", "30000"], "--size: expected a whole number from 8 to 1024, found '30000'"),
+        (["fit", "x", "--lights", "0"], "--lights: expected a whole number from 1 to 16384, found '0'"),
         (["fit", "x", "--lbes", "1"], "torchbrdf fit: unknown option or word '--lbes'; see"),
         (["fit", "x", "--" + "l" * 9000], "torchbrdf fit: unknown option or word '--l.*; see"),
         (["study", "serve", "here", "there"], "torchbrdf study serve: unknown option or word 'there'; see"),
@@ -141,6 +164,21 @@ def test_usage_errors_of_the_parser_exit_2_with_one_line(capsys, arguments, said
     assert re.match(f".*{said}", printed.err)
 
 
+@pytest.mark.parametrize("text", ["0", "all", "none", "ALL"])
+def test_all_pairs_have_several_words(text):
+    assert build_parser().parse_args(["fit", "x", "--samples", text]).samples is None
+
+
+def test_what_older_fits_do_not_say_is_called_so(paint, tmp_path, capsys):
+    arguments = ["fit", str(paint), "--lobes", "1", "--samples", "300", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    (record,) = json.loads((tmp_path / "fits.json").read_text())
+    del record["diffuse"]
+    (tmp_path / "fits.json").write_text(json.dumps([record]))
+    assert main(arguments) == 1
+    assert "was fitted with diffuse that the file does not say, not '45:0'" in capsys.readouterr().err
+
+
 def test_words_may_stand_behind_options(paint, tmp_path, capsys):
     assert main(["run", "fores2012", "--out", str(tmp_path / "out"), "quik=true"]) == 2
     assert "unknown setting of fores2012 'quik'" in capsys.readouterr().err
@@ -153,6 +191,12 @@ def test_options_of_numbers_are_finite_and_bounded(text):
     with pytest.raises(argparse.ArgumentTypeError, match=r"expected a number from 0 to 1, found .{2,40}$"):
         number(0, 1)(text)
     assert number(0, 1)("0.5") == 0.5
+
+
+def test_what_the_system_says_is_one_line(tmp_path, capsys):
+    assert main(["fit", str(tmp_path / ("x" * 5000))]) == 1
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and len(printed.err) <= 330
 
 
 def test_help_teaches():

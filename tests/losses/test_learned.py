@@ -19,6 +19,7 @@ from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.losses.learned import (
     BIN_COUNT,
     FLOOR,
+    LARGEST_WEIGHT,
     encode,
     features,
     pack_weights,
@@ -131,14 +132,23 @@ def test_weights_of_ones_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda d: d.pop("weights"), "expected an object with weights"),
+        (lambda d: d.pop("weights"), "expected a learned metric, .* missing required field `weights`"),
         (lambda d: d.update(floor=1.0), "floor: expected 0.0001, found 1.0"),
-        (lambda d: d.update(theta_h=[0, 90]), r"theta_h: expected .*, found \[0, 90\]"),
-        (lambda d: d["weights"].pop("mean"), "mean, luminance: expected 5 x 3 numbers of at least 0"),
+        (lambda d: d.update(theta_h=[0, 90]), r"theta_h: expected .*, found \[0.0, 90.0\]"),
+        (lambda d: d.update(provenance="mine"), "expected a learned metric, .* got `str` - at `\\$.provenance`"),
+        (lambda d: d.update(provenance=["mine"]), "expected a learned metric, .* got `array` - at `\\$.provenance`"),
+        (lambda d: d["weights"].pop("mean"), "expected a learned metric, .* missing required field `mean`"),
+        (lambda d: d["weights"]["mean"].pop("chroma"), "expected a learned metric, .* missing required field `chroma`"),
         (lambda d: d["weights"]["contrast"].update(chroma=[[1.0]]), "contrast, chroma: expected 10 x 3 numbers"),
-        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, -1]), "pointwise: expected 5 numbers of at least 0"),
-        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, float("nan")]), "pointwise: expected 5 numbers"),
-        (lambda d: d["weights"].update(pointwise="much"), "pointwise: expected 5 numbers"),
+        (lambda d: d["weights"]["mean"].update(chroma=[[1.0]] * 4 + [[1.0] * 3]), "mean, chroma: expected 5 x 3 numb"),
+        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, -1]), "pointwise: expected 5 numbers from 0 to 1e.20"),
+        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, 1e300]), "pointwise: expected 5 numbers from 0 to 1e.20"),
+        (lambda d: d["weights"].update(pointwise=[10**400]), "expected a learned metric, .*out of range"),
+        (
+            lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, float("nan")]),
+            "expected a learned metric, .*JSON is",
+        ),
+        (lambda d: d["weights"].update(pointwise="much"), "expected a learned metric, .*got `str`"),
     ],
 )
 def test_bad_weights_are_refused(change, said: str, tmp_path: Path) -> None:
@@ -146,8 +156,25 @@ def test_bad_weights_are_refused(change, said: str, tmp_path: Path) -> None:
     change(data)
     path = tmp_path / "metric.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(DataError, match=f"^{path}: {said}"):
+    with pytest.raises(DataError, match=f"^{path}: {said}") as caught:
         LearnedLoss(weights=path)
+    assert len(str(caught.value)) <= 300 and "\n" not in str(caught.value)
+    if "JSON" not in said and "range" not in said:
+        with pytest.raises(DataError, match=r"^weights: "):
+            LearnedLoss(weights=data)
+
+
+def test_deep_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "metric.json").write_text('{"provenance": {"a": ' + "[" * 100_000)
+    with pytest.raises(DataError, match=r"metric.json: expected a learned metric, .*, found JSON that is nested too"):
+        LearnedLoss(weights=tmp_path / "metric.json")
+
+
+def test_the_largest_weights_give_finite_distances() -> None:
+    largest = {"weights": json.loads(json.dumps(read_weights(None)["weights"]), parse_float=lambda _: LARGEST_WEIGHT)}
+    one, other = torch.zeros(1, len(PAIRS), 3), torch.full((1, len(PAIRS), 3), 1e10)
+    pairs = PAIRS.to(dtype=torch.float32)
+    assert LearnedLoss(reduction="none", weights=largest)(one, other, pairs).isfinite().all()
 
 
 def test_a_metric_of_nothing_is_refused() -> None:

@@ -268,6 +268,43 @@ def test_bad_files(tmp_path, size, dims, says, name):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ("<3i", "expected little-endian entries, found big-endian ones; swap the bytes of each"),
+        (">3i", "header: expected little-endian numbers, found big-endian ones; swap the bytes of the header's int32"),
+    ],
+)
+@pytest.mark.parametrize("name", ["nickel.binary", "nickel"])
+def test_swapped_bytes_are_told(tmp_path, header, says, name):
+    path = write_raw_merl(tmp_path / name, synthetic_raw().byteswap())
+    with path.open("r+b") as file:
+        file.write(struct.pack(header, *BINS))
+    with pytest.raises(DataError, match=rf"{name}: {says}"):
+        load(path)
+
+
+def test_a_file_that_is_cut_short_later_is_an_error(merl_file, tmp_path):
+    path = tmp_path / "cut.binary"
+    path.write_bytes(merl_file.read_bytes())
+    measured = load(path)
+    os.truncate(path, 10_000)
+    for read in (lambda: measured.values, lambda: measured.at(random_pairs(10)), measured.diffuse_45_0):
+        with pytest.raises(DataError, match=rf"cut.binary: truncated: expected {BYTES} bytes, found 10000"):
+            read()
+    path.unlink()
+    with pytest.raises(DataError, match=r"cut.binary: expected a MERL table, found No such file"):
+        _ = measured.values
+
+
+def test_entries_that_overflow_are_invalid(tmp_path):
+    raw = synthetic_raw()
+    raw[1, 3] = 1e300
+    measured = load(write_raw_merl(tmp_path / "huge.binary", raw))
+    assert measured.values.isfinite().all() and measured.values.square().sum(-1).isfinite().all()
+    assert measured.at(random_pairs(1000, dtype=torch.float32)).isfinite().all()
+
+
 def test_table_with_entries_below_the_horizon_only(tmp_path):
     path = write_raw_merl(tmp_path / "bad.binary", np.where(merl_above(), -1.0, 1.0) * np.ones((3, *BINS)))
     with pytest.raises(DataError, match=r"bad.binary: no valid entry"):

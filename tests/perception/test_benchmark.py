@@ -83,8 +83,8 @@ def test_what_is_scored_is_not_scored_again(out, monkeypatch):
     [
         ({}, "materials: expected a folder; quick=true runs on made-up answers"),
         ({"materials": "merl"}, "human: expected a folder"),
-        ({"quick": "true", "samples": "1"}, "expected 2 samples"),
-        ({"quick": "true", "max_theta": "95"}, "max_theta: expected an angle above 0"),
+        ({"quick": "true", "samples": "1"}, "samples: expected a whole number from 2 to"),
+        ({"quick": "true", "max_theta": "95"}, "max_theta: expected a number from 1 to 90"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, said):

@@ -3,14 +3,19 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, short, whole
+from torchbrdf.bounds import SEEDS
+from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, short, whole
+from torchbrdf.errors import UsageError
 from torchbrdf.registry import unknown
 
 if TYPE_CHECKING:
     from torchbrdf.lobes import FitRecord
     from torchbrdf.losses import Loss
 
+FITS = "fits.json"
 RENDERED = "rendered"
+# The options that only a rendered loss has, and what they are if they are not given.
+OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob", "size": 128, "lights": 1024}
 
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
@@ -30,27 +35,26 @@ def add(commands: Commands) -> None:
     parser.add_argument("files", nargs="+", help="measured BRDFs, or folders of them")
     parser.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
     parser.add_argument(
-        "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one (default 2)"
+        "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one, 1 to 8 (default 2)"
     )
     parser.add_argument(
         "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"
     )
-    parser.add_argument(
-        "--difference",
-        default="delta_e76",
-        help="of a rendered loss: delta_e76 (default), log_hdr, psnr, ssim, flip, ...",
-    )
-    parser.add_argument("--environment", default="grove", help="of a rendered loss: grove (default), studio, or a file")
-    parser.add_argument("--shape", default="blob", help="of a rendered loss: blob (default), sphere, or a mesh file")
-    parser.add_argument("--size", type=int, default=128, help="of a rendered loss: pixels of a side (default 128)")
-    parser.add_argument(
-        "--lights", type=int, default=1024, help="of a rendered loss: lights in the scene (default 1024)"
-    )
+    of = "of a rendered loss:"
+    parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")
+    parser.add_argument("--environment", help=f"{of} grove (default), studio, or a file")
+    parser.add_argument("--shape", help=f"{of} blob (default), sphere, or a mesh file")
+    parser.add_argument("--size", type=whole(8, 1024), help=f"{of} pixels of a side, 8 to 1024 (default 128)")
+    parser.add_argument("--lights", type=whole(1, 16384), help=f"{of} lights in the scene, 1 to 16384 (default 1024)")
     parser.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
     parser.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
-    parser.add_argument("--max-theta", type=float, default=80.0, help="largest angle from the normal (default 80)")
-    parser.add_argument("--samples", type=int, default=20_000, help="pairs of the search; 0: all (default 20000)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the subset (default 0)")
+    parser.add_argument(
+        "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
+    )
+    parser.add_argument(
+        "--samples", type=samples, default=20_000, help="pairs of the search, up to 10 million, or all (default 20000)"
+    )
+    parser.add_argument("--seed", type=whole(*SEEDS), default=0, help="seed of the subset (default 0)")
     parser.add_argument(
         "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
     )
@@ -61,23 +65,31 @@ def command(options: Options) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.files import writable
     from torchbrdf.fitting import STRATEGIES, Batches
-    from torchbrdf.lobes import make_model
-    from torchbrdf.pairs import check_max_theta
+    from torchbrdf.fitting.api import DIFFUSE_MODES
+    from torchbrdf.lobes import make_model, read_fits
 
     STRATEGIES[options.strategy]
-    check_max_theta(options.max_theta)
+    if options.diffuse not in DIFFUSE_MODES:
+        raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
     model = make_model(options.model, options.lobes)
+    _check_loss(options)
+    out = writable(options.out) if options.out else None
+    # All files first: what is wrong with one is said before there is any work.
+    if out is not None and (out / FITS).exists():
+        read_fits(out / FITS)
+    groups, complete = load_files(options.files)
+    if not groups:
+        return 1
     batches = Batches(
         model,
         _loss(options),
-        out=writable(options.out) if options.out else None,
+        out=out,
         strategy=options.strategy,
         diffuse=options.diffuse,
         max_theta=options.max_theta,
-        samples=options.samples or None,
+        samples=options.samples,
         seed=options.seed,
     )
-    groups, complete = load_files(options.files)
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
@@ -87,17 +99,40 @@ def command(options: Options) -> int:
         rest += [f"({note})" for note in _notes(record)]
         print(f"{record.material:32s} {short(record.error):>10s}  {record.status:14s} {'  '.join(rest)}")
     if options.out:
-        print(Path(options.out) / "fits.json")
+        print(Path(options.out) / FITS)
     return 0 if complete else 1
+
+
+def samples(text: str) -> int | None:
+    """The type of an option that is a number of pairs; None for all, which was 0 before.
+
+    Example:
+        >>> samples("500"), samples("all")
+        (500, None)
+    """
+    return None if text.lower() in ("all", "none", "0") else whole(1, 10_000_000)(text)
+
+
+def _check_loss(options: Options) -> None:
+    """A UsageError for an unknown loss or difference, and for options that another loss has."""
+    from torchbrdf.images import DIFFERENCES
+    from torchbrdf.losses import LOSSES
+
+    if options.loss != RENDERED and options.loss not in LOSSES:
+        raise unknown("loss", options.loss, [*LOSSES, RENDERED])
+    for key, default in OF_RENDERED.items():
+        if getattr(options, key) is None:
+            setattr(options, key, default)
+        elif options.loss != RENDERED:
+            raise UsageError(f"--{key}: expected only with --loss {RENDERED}, found --loss {options.loss}")
+    DIFFERENCES[options.difference]
 
 
 def _loss(options: Options) -> "Loss":
     """A loss by name, or pictures of the scene that the options describe."""
-    from torchbrdf.losses import LOSSES, make_loss
+    from torchbrdf.losses import make_loss
 
     if options.loss != RENDERED:
-        if options.loss not in LOSSES:
-            raise unknown("loss", options.loss, [*LOSSES, RENDERED])
         return make_loss(options.loss)
     from torchbrdf.images import DIFFERENCES
     from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh

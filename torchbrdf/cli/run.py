@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from torchbrdf.cli.common import Commands, Options, described, progress_bar
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import UsageError, shown
 
 DESCRIPTION = """\
-Run a recipe: a short Python file that says what to do and which settings it has.
+Run a recipe: a short Python file that says what to do and which settings it has. A file runs as the program that it
+is, with all that you may do: give only files that you trust. Its settings are data, and nothing in them runs.
 
   torchbrdf run fores2012
   torchbrdf run fores2012 quick=true
@@ -20,7 +21,9 @@ Run it again with the same settings and folder, and it takes up what is finished
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     parser = described(commands.add_parser("run", help="run a recipe, such as fores2012"), DESCRIPTION, "settings")
-    parser.add_argument("recipe", help="a recipe's name, or a Python file that holds one; `list` shows them")
+    parser.add_argument(
+        "recipe", help="a recipe's name (`list` shows them), or a Python file that holds one, which runs"
+    )
     parser.add_argument(
         "settings", nargs="*", metavar="key=value", help="settings; `torchbrdf run NAME help=` shows them"
     )
@@ -41,7 +44,9 @@ def command(options: Options) -> int:
     for text in options.settings:
         key, separator, value = text.partition("=")
         if not separator:
-            raise UsageError(f"{kind.name}: expected key=value, found {text!r}")
+            raise UsageError(f"{kind.name}: expected key=value, found {shown(text)}")
+        if key in settings:
+            raise UsageError(f"{kind.name}: {shown(key)}: expected once, found twice")
         settings[key] = value
     if "help" in settings:
         print(describe(kind))

@@ -54,7 +54,7 @@ class FitGridRecipe(Recipe):
             for name in names:
                 registry[name]  # an unknown one is said before a folder is written
         if self.diffuse not in DIFFUSE_MODES:
-            raise unknown(f"{self.name}: diffuse", self.diffuse, DIFFUSE_MODES)
+            raise unknown(f"diffuse of {self.name}", self.diffuse, DIFFUSE_MODES)
 
     def expect_names(self, *settings: str) -> None:
         """A UsageError if one of these settings is empty, or has a name twice."""

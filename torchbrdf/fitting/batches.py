@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, shown
 from torchbrdf.fitting.api import fit
 from torchbrdf.fitting.result import write_fits_csv
 from torchbrdf.fitting.strategy import strategy_name
@@ -101,7 +101,8 @@ class Batches:
             wanted["strategy"] = strategy_name(wanted["strategy"])
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):
             if key in wanted and getattr(record, key) != wanted[key]:
+                had = shown(getattr(record, key)) if getattr(record, key) != "" else "that the file does not say"
                 raise DataError(
-                    f"{self.out}/fits.json: {record.material} was fitted with {key} {getattr(record, key)}, not "
-                    f"{wanted[key]}; give another folder"
+                    f"{self.out}/fits.json: {record.material} was fitted with {key} {had}, not {shown(wanted[key])}; "
+                    "give another folder"
                 )

@@ -55,7 +55,7 @@ class Outcome:
 # A function of the task, the parameters at the start, and whether the diffuse albedo is fitted.
 Strategy = Callable[[Task, ParameterDict, bool], Outcome]
 
-STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies")
+STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies", lambda: None)
 
 
 def strategy_name(strategy: str | Strategy) -> str:

@@ -16,7 +16,7 @@ from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
-LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes", "torchbrdf.lobes")
+LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes", "torchbrdf.lobes", lambda: Lobe)
 
 Value = Tensor | float | list[float]
 """What a parameter can be set to: a tensor, a number for every entry, or a list."""

@@ -6,12 +6,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.sum import Sum
 
 DIFFUSE_KEY = "diffuse"
+# The bounds of all parameters are far below.
+LARGEST_PARAMETER = 1e10
 
 
 def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> Sum:
@@ -34,7 +36,7 @@ def make_model(name: str, lobes: int = 2, dtype: torch.dtype | None = None) -> S
         [Lambert(albedo=[0.5, 0.5, 0.5]), Ward(specular=[0.5, 0.5, 0.5], roughness=0.01)]
     """
     if lobes < 1:
-        raise UsageError(f"lobes: expected at least 1, found {lobes}")
+        raise UsageError(f"lobes: expected at least 1, found {shown(lobes)}")
     kind = LOBES[name]
     if kind is Lambert:
         raise UsageError("model: expected a specular lobe, found lambert, which every model has")
@@ -104,7 +106,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         The sum, not batched.
 
     Raises:
-        DataError: the names or counts are not those of the kind, or values are no numbers.
+        DataError: the names, counts or shapes are not those of the kind, or values are no finite numbers.
 
     Example:
         >>> from torchbrdf.lobes import from_parameters
@@ -113,26 +115,56 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         Ward(specular=[0.5, 0.5, 0.5], roughness=0.125)
     """
     kind = LOBES[name]
+    where = f"parameters of {name}"
     wanted = {DIFFUSE_KEY, *kind.parameter_specs}
     if set(values) != wanted:
-        raise DataError(
-            f"parameters of {name}: expected {', '.join(sorted(wanted))}, found {', '.join(sorted(values))}"
-        )
-    try:
-        lists = {
-            key: [torch.tensor(value, dtype=torch.float64) for value in values[key]] for key in kind.parameter_specs
-        }
-        diffuse = torch.tensor(values[DIFFUSE_KEY], dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"parameters of {name}: expected numbers, found something else ({error})") from None
+        raise DataError(f"{where}: expected {', '.join(sorted(wanted))}, found {', '.join(map(str, values)) or 'none'}")
+    diffuse = _numbers(values[DIFFUSE_KEY], Lambert.parameter_specs["albedo"], f"{where}: {DIFFUSE_KEY}")
+    lists = {key: _one_a_lobe(values[key], spec, f"{where}: {key}") for key, spec in kind.parameter_specs.items()}
     counts = {len(entries) for entries in lists.values()}
     if len(counts) != 1 or counts == {0}:
-        raise DataError(f"parameters of {name}: expected one value a lobe for each, found {sorted(counts)} values")
+        raise DataError(f"{where}: expected one value a lobe for each, found {sorted(counts)} values")
     dtype = dtype or torch.get_default_dtype()
     lobes = [
         kind(dtype=dtype, **dict(zip(lists, entries, strict=True))) for entries in zip(*lists.values(), strict=True)
     ]
     return Sum(Lambert(albedo=diffuse, dtype=dtype), *lobes)
+
+
+def _one_a_lobe(values: Any, spec: BoundedParameter, where: str) -> list[Tensor]:
+    if not isinstance(values, list | tuple):
+        raise DataError(f"{where}: expected a list with one value a lobe, found {shown(values)}")
+    return [_numbers(value, spec, where) for value in values]
+
+
+def _numbers(value: Any, spec: BoundedParameter, where: str) -> Tensor:
+    """The numbers of a parameter, or one for all of them, as a tensor of its shape, float64."""
+    shape = " x ".join(map(str, spec.shape))
+    expected = f"{where}: expected {shape} numbers of at most {LARGEST_PARAMETER:g}, found {shown(value)}"
+    if not _is_numbers(value):
+        raise DataError(expected)
+    try:
+        found = torch.tensor(value, dtype=torch.float64, device="cpu")
+        if found.dim() > len(spec.shape):
+            raise DataError(expected)
+        found = found.expand(spec.shape)
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+    ):  # ragged lists; whole numbers of many digits; another shape
+        raise DataError(expected) from None
+    if not bool((found.abs() <= LARGEST_PARAMETER).all()):
+        raise DataError(expected)
+    return found
+
+
+def _is_numbers(value: Any) -> bool:
+    """Whether it is a number, or nested lists of nothing else."""
+    if isinstance(value, list | tuple):
+        return all(map(_is_numbers, value))
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _plain(component: Lobe, spec: BoundedParameter, material: int) -> Any:

@@ -1,20 +1,22 @@
 """Fitted models as files: a list of records, each a material, a model and its parameters (`fits.json`)."""
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, get_origin
+from typing import Any
 
 import torch
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.files import write_json
+from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.model import from_parameters
 from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.names import check_name
+from torchbrdf.pairs import Pairs
+from torchbrdf.reading import read_json
 
 NEEDED = ("material", "model", "lobes", "parameters")
 # What a record of a fit has besides, in the order in which files have it; a model that nobody fitted lacks most of it.
@@ -24,6 +26,10 @@ FITTED = (
 )  # fmt: skip
 # Fields of numbers that may not be finite, for which JSON has null.
 NUMBERS = ("error", "subset_error", "errors", "differences", "pictures")
+# Fields of text that people are shown, and how long they may be.
+TEXTS = {"loss": 200, "strategy": 200, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000, "at_bounds": 200}
+# Of a model, in 1/sr: beyond what any surface reflects.
+LARGEST_VALUE = 1e20
 
 
 @dataclass
@@ -115,19 +121,40 @@ class FitRecord:
             where: What to call it in an error.
 
         Raises:
-            DataError: Something that is needed is not there, or is of another type.
+            DataError: Something that is needed is not there, of another type, or cannot be.
         """
+        import msgspec  # late: not every fit is read from a file
+
         missing = [key for key in NEEDED if key not in values]
         if missing:
             raise DataError(f"{where} lacks {', '.join(missing)}")
-        known = {one.name: one.type for one in fields(cls) if one.name != "extra"}
-        own = {
-            key: _checked(values[key], kind, f"{where}: {key}", key in NUMBERS)
-            for key, kind in known.items()
-            if key in values
-        }
-        check_name(own["material"], f"{where}: material")
-        return cls(**own, extra={key: value for key, value in values.items() if key not in known})
+        known = {one.name for one in fields(cls)} - {"extra"}
+        own = {key: _with_nan(value) if key in NUMBERS else value for key, value in values.items() if key in known}
+        try:
+            record = msgspec.convert(own, cls)
+        except msgspec.ValidationError as error:
+            raise DataError(f"{where}: {_said(error)}") from None
+        record.extra = {key: value for key, value in values.items() if key not in known}
+        record._check(where)
+        return record
+
+    def _check(self, where: str) -> None:
+        """A DataError if what is said cannot be."""
+        check_name(self.material, f"{where}: material")
+        for key, longest in TEXTS.items():
+            for text in [getattr(self, key)] if key != "at_bounds" else self.at_bounds:
+                if not text.isprintable() or len(text) > longest:
+                    raise DataError(
+                        f"{where}: {key}: expected at most {longest} printable characters, found {shown(text)}"
+                    )
+        if self.model not in LOBES:
+            raise DataError(f"{where}: model: expected one of {', '.join(LOBES)}, found {shown(self.model)}")
+        try:
+            made = len(from_parameters(self.model, self.parameters).components()) - 1
+        except TorchbrdfError as error:
+            raise DataError(f"{where}: {error}") from None
+        if made != self.lobes:
+            raise DataError(f"{where}: lobes: expected {made}, as parameters has, found {self.lobes}")
 
 
 def model_of(records: Sequence[FitRecord]) -> Sum:
@@ -191,43 +218,58 @@ def read_fits(path: Path | str) -> list[FitRecord]:
         Its records; `model_of` makes models of those with one kind and number of lobes.
 
     Raises:
-        DataError: It cannot be read, or holds no list of fits; says where and what was expected.
+        DataError: It cannot be read, holds no list of fits, or one whose values are not finite; says where and what
+            was expected.
 
     Example:
         >>> from torchbrdf.measured import standins
         >>> [record.material for record in read_fits(standins())][:3]
         ['alum-bronze', 'aluminium', 'blue-acrylic']
     """
-    try:
-        records = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected the JSON of fits, found {error}") from None
-    if not isinstance(records, list) or not records or not all(isinstance(record, dict) for record in records):
-        size = f" of {len(records)}" if isinstance(records, list | dict) else ""
-        raise DataError(f"{path}: expected a list of fits, found {type(records).__name__}{size}")
-    return [FitRecord.from_json(record, f"{path}: fit {k}") for k, record in enumerate(records)]
+    records: list[dict[str, Any]] = read_json(path, list[dict[str, Any]], "a list of fits")
+    if not records:
+        raise DataError(f"{path}: expected a list of fits, found an empty one")
+    found = [FitRecord.from_json(record, f"{path}: fit {k}") for k, record in enumerate(records)]
+    _check_values(path, found)
+    return found
 
 
-_NULL = type(None)
-# What JSON may have for a field of each type, and what that is called in an error.
-_TYPES: dict[Any, tuple[tuple[type, ...], str]] = {
-    str: ((str,), "text"),
-    int: ((int,), "a whole number"),
-    float: ((int, float, _NULL), "a number or null"),
-    bool | None: ((bool, _NULL), "true or false"),
-    int | None: ((int, _NULL), "a whole number or null"),
-    float | None: ((int, float, _NULL), "a number or null"),
-    list: ((list,), "a list"),
-    dict: ((dict,), "an object"),
-}
+def _check_values(path: Path | str, records: Sequence[FitRecord]) -> None:
+    """A DataError for the first record whose model's values are not finite: nothing could be done with them.
+
+    In either precision: a lobe that is far too narrow overflows in float32 only.
+    """
+    kinds: dict[tuple[str, int], list[int]] = {}
+    for k, record in enumerate(records):
+        kinds.setdefault((record.model, record.lobes), []).append(k)
+    bad: list[int] = []
+    for rows in kinds.values():
+        model = model_of([records[k] for k in rows])
+        for dtype in (torch.float64, torch.float32):
+            with torch.no_grad():
+                values = model.to(dtype)(_probes().to(dtype=dtype))
+            finite = (values.abs() <= LARGEST_VALUE).flatten(1).all(-1)
+            bad += [k for k, good in zip(rows, finite.tolist(), strict=True) if not good]
+    if bad:
+        first = min(bad)
+        raise DataError(
+            f"{path}: fit {first}: parameters of {records[first].model}: expected those of a model with values of at "
+            f"most {LARGEST_VALUE:g} / sr, found others for {records[first].material}"
+        )
 
 
-def _checked(value: Any, kind: Any, where: str, numbers: bool) -> Any:
-    """A value from JSON for a field of some type; `numbers`: null is nan in all of it."""
-    types, said = _TYPES[get_origin(kind) if get_origin(kind) in (list, dict) else kind]
-    if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-        raise DataError(f"{where}: expected {said}, found {str(value)[:60]!r}")
-    return _with_nan(value) if numbers else value
+def _probes() -> Pairs:
+    """Pairs all over the hemisphere, the normal, the mirror's direction and the horizon among them, `(1, N)`."""
+    steps = torch.linspace(0, 1, 7, dtype=torch.float64)
+    theta_h, theta_d, phi_d = (part.reshape(1, -1) for part in torch.meshgrid(steps**2, steps, steps, indexing="ij"))
+    return Pairs.from_half_diff(theta_h * (math.pi / 2), theta_d * (math.pi / 2) * 0.999, phi_d * math.pi)
+
+
+def _said(error: Exception) -> str:
+    """msgspec's message, such as "Expected `str`, got `null` - at `$.material`", with the place in front."""
+    text, _, place = str(error).partition(" - at ")
+    place = place.strip("`").removeprefix("$").removeprefix(".")
+    return f"{place}: {text[:1].lower()}{text[1:]}" if place else text
 
 
 def _with_nan(value: Any) -> Any:

@@ -14,7 +14,7 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 
-LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses")
+LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses", lambda: Loss)
 # Names of before, which fits.json and commands may still have.
 LOSSES.alias("cosine", "cosine_rms")
 LOSSES.alias("cuberoot", "cube_root")

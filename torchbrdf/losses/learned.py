@@ -1,20 +1,20 @@
 """A distance between BRDFs whose weights were learned from what people answered."""
 
-import json
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NotRequired, Self, TypedDict
 
 import torch
 from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
-from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.errors import DataError, ShapeError, shown
 from torchbrdf.losses.base import LOSSES, version
 from torchbrdf.losses.binned import BinnedLoss, bin_mass
 from torchbrdf.pairs import Pairs
+from torchbrdf.reading import read_json
 from torchbrdf.reduction import Reduction
 
 FLOOR = 1e-4
@@ -30,6 +30,33 @@ COLOR_FEATURES = ("luminance", "chroma")
 SHAPES = {"mean": (THETA_H_BINS, THETA_D_BINS), "contrast": (len(BIN_PAIRS), THETA_D_BINS)}
 POINTWISE = "pointwise"
 BUNDLED = "learned_metric.json"
+LARGEST_WEIGHT = 1e20
+"""Trained weights are below 1e3, or 4e10 for a bin that few pairs see; far larger ones overflow in float32."""
+
+
+class MetricWeights(TypedDict):
+    """The weights of a `metric.json`, whose shapes `SHAPES` has."""
+
+    pointwise: list[float]
+    mean: "FeatureWeights"
+    contrast: "FeatureWeights"
+
+
+class FeatureWeights(TypedDict):
+    """Weights for each of `COLOR_FEATURES`."""
+
+    luminance: list[list[float]]
+    chroma: list[list[float]]
+
+
+class MetricFile(TypedDict):
+    """What a `metric.json` holds."""
+
+    weights: MetricWeights
+    provenance: NotRequired[dict[str, Any]]
+    floor: NotRequired[float]
+    theta_h: NotRequired[list[float]]
+    theta_d: NotRequired[list[float]]
 
 
 @LOSSES.register("learned")
@@ -222,21 +249,18 @@ def pack_weights(weights: Tensor) -> dict[str, Any]:
     return found
 
 
-def read_weights(weights: str | Path | Mapping[str, Any] | None) -> Mapping[str, Any]:
+def read_weights(weights: str | Path | Mapping[str, Any] | None) -> MetricFile:
     """The content of a `metric.json`, checked; None: that which comes with torchbrdf."""
-    where, data = "weights", weights
-    if not isinstance(weights, Mapping):
-        source = files("torchbrdf.assets") / BUNDLED if weights is None else Path(weights)
+    where = "weights"
+    if isinstance(weights, Mapping):
+        data = _convert(weights, where)
+    else:
+        source = files("torchbrdf.assets") / BUNDLED if weights is None else weights
         where = str(source)
-        try:
-            data = json.loads(source.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise DataError(f"{where}: expected the JSON of a learned metric: {str(error).splitlines()[0]}") from None
-    if not isinstance(data, Mapping) or not isinstance(data.get("weights"), Mapping):
-        raise DataError(f"{where}: expected an object with weights, as the recipe train_metric writes it")
+        data = read_json(where, MetricFile, "a learned metric, as the recipe train_metric writes it")
     for key, expected in schema().items():
         if data.get(key, expected) != expected:
-            raise DataError(f"{where}: {key}: expected {expected}, found {data[key]!r}")
+            raise DataError(f"{where}: {key}: expected {expected}, found {shown(data.get(key))}")
     _check_part(data["weights"], (POINTWISE,), (THETA_H_BINS,), where)
     for name, shape in SHAPES.items():
         for kind in COLOR_FEATURES:
@@ -246,18 +270,29 @@ def read_weights(weights: str | Path | Mapping[str, Any] | None) -> Mapping[str,
     return data
 
 
+def _convert(weights: Mapping[str, Any], where: str) -> "MetricFile":
+    import msgspec  # late: not every loss has weights from outside
+
+    try:
+        return msgspec.convert(dict(weights), MetricFile)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise DataError(f"{where}: expected a learned metric, found {error}") from None
+
+
 def schema() -> dict[str, Any]:
     """What the weights of a `metric.json` are the weights of."""
     return {"floor": FLOOR, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}
 
 
 def _check_part(weights: Any, names: tuple[str, ...], shape: tuple[int, ...], where: str) -> None:
-    expected = f"{where}: {', '.join(names)}: expected {' x '.join(map(str, shape))} numbers of at least 0"
+    expected = " x ".join(map(str, shape))
+    for name in names:
+        weights = weights[name]
     try:
-        for name in names:
-            weights = weights[name]
-        part = torch.tensor(weights, dtype=torch.float64)
-    except (KeyError, TypeError, ValueError):
-        raise DataError(expected) from None
-    if part.shape != shape or not bool((part.isfinite() & (part >= 0)).all()):
-        raise DataError(expected)
+        part = torch.tensor(weights, dtype=torch.float64, device="cpu")
+        fits = part.shape == shape and bool(((part >= 0) & (part <= LARGEST_WEIGHT)).all())
+    except (TypeError, ValueError, OverflowError):  # lists of different lengths; whole numbers of many digits
+        fits = False
+    if not fits:
+        wanted = f"{expected} numbers from 0 to {LARGEST_WEIGHT:g}"
+        raise DataError(f"{where}: {', '.join(names)}: expected {wanted}, found {shown(weights)}")

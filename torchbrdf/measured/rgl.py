@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
@@ -24,6 +24,10 @@ LOWEST = math.cos(math.radians(89))
 """The least cosine that a stored value is divided by: interpolated towards the horizon, f cos does not quite vanish."""
 HORIZON = 1e-5
 """Up to this cosine theta_i is 90 degrees, at which nothing can be measured: those values repeat the angle before."""
+LEAST_STEP = 1e-4
+"""Between two theta_i, in radians; those of the database are 0.15 apart and more."""
+LEAST_VISIBLE, LARGEST_DENSITY, LARGEST_STORED = 1e-6, 1e8, 1e6
+"""Bounds of sigma, of densities and of stored values; the database has 0.03, 8e3 and 20."""
 TABLES = 32
 """Materials whose tables for `at` are kept, up to 6 MB each in float32."""
 
@@ -45,30 +49,35 @@ class RglFile:
             raise DataError(f"{path}: expected an isotropic material (one phi_i), found phi_i {directions}")
         theta = file.array("theta_i", [None])
         size = len(theta)
-        if size < 2 or not (theta[0] >= 0 and theta[-1] < math.pi / 2 + 1e-6 and (np.diff(theta) > 0).all()):
+        if size < 2 or not (theta[0] >= 0 and theta[-1] < math.pi / 2 + 1e-6 and (np.diff(theta) > LEAST_STEP).all()):
             found = ", ".join(f"{angle:.4g}" for angle in theta[:8].tolist()) + (", ..." if size > 8 else "")
             raise DataError(f"{path}: theta_i: expected angles that grow from 0 to pi/2, found {found}")
         density = self._density(file, "vndf", [1, size, None, None])[0]
         spectrum = file.array("rgb", [1, size, 3, None, None])[0]
         if min(spectrum.shape[2:]) < 2:
             raise DataError(f"{path}: rgb: expected a grid of 2 x 2 or more, found {spectrum.shape[2:]}")
-        self.finite = np.isfinite(spectrum).all(1)
+        with np.errstate(invalid="ignore"):
+            self.finite = (np.abs(spectrum) <= LARGEST_STORED).all(1)
         if not self.finite.any():
-            raise DataError(f"{path}: rgb: no finite value")
+            raise DataError(f"{path}: rgb: no finite value of at most {LARGEST_STORED:g}")
         self.theta = torch.from_numpy(theta)
         self.warp = Warp(torch.from_numpy(density))
         self.spectrum = torch.from_numpy(np.where(self.finite[..., None], np.moveaxis(spectrum, 1, -1), 0))
         self.normals = torch.from_numpy(self._density(file, "ndf", [None, None]))
-        self.visible = torch.from_numpy(self._density(file, "sigma", [None, None]))
+        self.visible = torch.from_numpy(self._density(file, "sigma", [None, None], LEAST_VISIBLE))
         self.has_factor = bool(file.array("jacobian", [1], "u")[0])
 
     @staticmethod
-    def _density(file: TensorFile, name: str, shape: Sequence[int | None]) -> np.ndarray:
+    def _density(file: TensorFile, name: str, shape: Sequence[int | None], least: float = 0) -> np.ndarray:
         value = file.array(name, shape)
         if min(value.shape[-2:]) < 2:
             raise DataError(f"{file.path}: {name}: expected a grid of 2 x 2 or more, found {value.shape[-2:]}")
-        if not (np.isfinite(value).all() and (value >= 0).all() and (value.sum((-2, -1)) > 0).all()):
-            raise DataError(f"{file.path}: {name}: expected finite values of at least 0 with a sum above 0")
+        inside = (value >= least) & (value <= LARGEST_DENSITY)
+        if not inside.all():
+            odd = shown(float(value[~inside][0]))
+            raise DataError(f"{file.path}: {name}: expected values from {least:g} to {LARGEST_DENSITY:g}, found {odd}")
+        if not (value.sum((-2, -1)) > 0).all():
+            raise DataError(f"{file.path}: {name}: expected a sum above 0, found only zeros")
         return value
 
     def factor(self, theta_i: Tensor, x: Tensor, y: Tensor, cos_o: Tensor) -> Tensor:

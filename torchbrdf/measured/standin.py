@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, TorchbrdfError
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
@@ -50,11 +49,6 @@ class StandIn(BrdfFormat):
         origin: list[Path] = []
         for path in paths:
             found = read_fits(path)
-            for k, record in enumerate(found):
-                try:
-                    model_of([record])
-                except (TorchbrdfError, TypeError, RuntimeError) as error:
-                    raise DataError(f"{path}: fit {k}: {error}") from None
             records += found
             origin += [path] * len(found)
         return cls(records, origin)

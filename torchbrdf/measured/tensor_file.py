@@ -10,7 +10,6 @@ Source: W. Jakob and J. Dupuy, https://github.com/rgl-epfl/brdf-loader. All numb
 """
 
 import math
-import mmap
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, shown
+from torchbrdf.reading import check_unpacked, read_bytes
 
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
@@ -33,19 +33,15 @@ class Field(NamedTuple):
 
 
 class TensorFile:
-    """Tensor file of RGL: `fields` says what there is, `array` copies one. Nothing else is read."""
+    """Tensor file of RGL: `fields` says what there is, `array` copies one."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            with path.open("rb") as file:
-                size = path.stat().st_size
-                self._bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+        self._bytes = read_bytes(path, "a tensor_file")
         try:
             self.fields = dict(self._contents())
         except struct.error:
+            size = len(self._bytes)
             raise DataError(f"{path}: truncated: the file ends inside its table of contents, at {size} bytes") from None
 
     def _contents(self) -> list[tuple[str, Field]]:
@@ -66,18 +62,20 @@ class TensorFile:
             name = take(f"{length}s")[0].decode("ascii", "backslashreplace")
             dims, kind, offset = take("HBQ")
             if kind not in TYPES or dims > 8 or name in fields:
-                raise DataError(f"{self.path}: field {name!r}: unknown type {kind}, {dims} dimensions, or named twice")
+                raise DataError(
+                    f"{self.path}: field {shown(name)}: unknown type {kind}, {dims} dimensions, or named twice"
+                )
             field = Field(np.dtype(f"<{TYPES[kind]}"), offset, take(f"{dims}Q"))
             stop = offset + math.prod(field.shape) * field.dtype.itemsize
             if stop > end:
-                raise DataError(f"{self.path}: truncated: field {name!r} ends at byte {stop}, the file at {end}")
+                raise DataError(f"{self.path}: truncated: field {shown(name)} ends at byte {stop}, the file at {end}")
             fields[name] = field
         return list(fields.items())
 
     def array(self, name: str, shape: Sequence[int | None], kind: str = "f") -> np.ndarray:
         """A copy of a field, as float64 if its type is of the kind "f"; None in `shape` is any size above 0."""
         if name not in self.fields:
-            raise DataError(f"{self.path}: expected a field {name!r}, found {', '.join(map(repr, self.fields))}")
+            raise DataError(f"{self.path}: expected a field {name!r}, found {', '.join(map(shown, self.fields))}")
         field = self.fields[name]
         fits = len(field.shape) == len(shape) and all(
             have == want if want is not None else have > 0 for have, want in zip(field.shape, shape, strict=False)
@@ -86,6 +84,7 @@ class TensorFile:
             wanted = ", ".join("n" if want is None else str(want) for want in shape)
             found = f"{field.shape} of {field.dtype}"
             raise DataError(f"{self.path}: field {name!r}: expected ({wanted}) of kind {kind!r}, found {found}")
+        check_unpacked(self.path, 8 * math.prod(field.shape))
         flat = np.frombuffer(self._bytes, field.dtype, math.prod(field.shape), field.offset)
         with np.errstate(invalid="ignore"):  # a signalling nan becomes a quiet one
             return flat.reshape(field.shape).astype(np.float64 if kind == "f" else field.dtype)

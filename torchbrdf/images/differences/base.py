@@ -11,7 +11,7 @@ from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 
 DIFFERENCES: Registry[type["Difference"]] = Registry(
-    "difference", "torchbrdf.images.differences", "torchbrdf.differences"
+    "difference", "torchbrdf.images.differences", "torchbrdf.differences", lambda: Difference
 )
 
 # What both pictures show where nothing counts, so that windows that reach there see them equal.
