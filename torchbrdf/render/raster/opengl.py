@@ -6,7 +6,6 @@ of torchbrdf is imported, so that this is quick.
 
 import os
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,19 +17,9 @@ import numpy as np
 # Faces in 24 bits of colour, 0 being none; pyrender takes vertex numbers through float32.
 MOST_TRIANGLES = 2**24 - 1
 
-# pyrender's own shaders know an object's colour only. Vertices come projected in double precision, divided by depth.
-_VERTEX = """#version 330 core
-layout(location = 0) in vec3 position;
-void main() { gl_Position = vec4(position, 1.0); }
-"""
-# Every face comes twice, wound one way and the other, because pyrender culls the backs; one of them is seen.
-_FRAGMENT = """#version 330 core
-out vec4 color;
-void main() {
-    int id = gl_PrimitiveID / 2 + 1;
-    color = vec4(vec3(id & 255, (id >> 8) & 255, (id >> 16) & 255) / 255.0, 1.0);
-}
-"""
+# pyrender's own shaders know an object's colour only. Vertices come projected in double precision, divided by depth;
+# every face comes twice, wound one way and the other, because pyrender culls the backs; one of them is seen.
+_SHADERS = Path(__file__).parent / "shaders"
 
 # Contexts of one display do not outlive each other: the first that is deleted ends them all.
 _ALONE = threading.Lock()
@@ -72,11 +61,8 @@ def _renderer(size: int) -> Iterator[tuple[Any, Any]]:
 
     renderer = pyrender.OffscreenRenderer(size, size)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            (Path(folder) / "segmentation.vert").write_text(_VERTEX)
-            (Path(folder) / "segmentation.frag").write_text(_FRAGMENT)
-            renderer._renderer._program_cache = ShaderProgramCache(folder)
-            yield pyrender, renderer
+        renderer._renderer._program_cache = ShaderProgramCache(str(_SHADERS))
+        yield pyrender, renderer
     finally:
         renderer.delete()
 
