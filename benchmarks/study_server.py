@@ -157,9 +157,7 @@ def main(count, rounds):
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         size = make_study(Path(folder))
-        print(
-            f"{count} observers at once, {TRIALS} trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB; times in ms"
-        )
+        print(f"{count} observers at once, {TRIALS} trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB, in ms")
         print(f"{'they think':18s} {'server':6s}  answers p50    p95  pictures p50    p95  answers/s  CPU a trial")
         for name, think in THINKING.items():
             for _ in range(rounds):
