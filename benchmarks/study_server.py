@@ -2,8 +2,8 @@
 
     python benchmarks/study_server.py [--observers 100]
 
-Every observer answers 20 of 60 trials and, as a page does, loads the three pictures of the last trial that may be loaded
-ahead after each answer. They think before they answer: as long as people do, or for a moment, which is faster than any
+Every observer answers 20 of 60 trials and, as a page does, loads after each answer the three pictures of the last trial
+that may be loaded ahead. They think before they answer: as long as people do, or for a moment, which is faster than any
 person; or not at all, which shows what the server can do. The same is asked of a bare Flask application with the same
 settings, which records nothing and checks nothing: what is left for the study to make faster.
 """
@@ -157,9 +157,7 @@ def main(count, rounds):
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         size = make_study(Path(folder))
-        print(
-            f"{count} observers at once, {TRIALS} trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB; milliseconds"
-        )
+        print(f"{count} observers at once, {TRIALS} trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB, in ms")
         print(f"{'they think':18s} {'server':6s}  answers p50    p95  pictures p50    p95  answers/s  CPU a trial")
         for name, think in THINKING.items():
             for _ in range(rounds):

@@ -11,6 +11,7 @@ from torchbrdf.images import DIFFERENCES, Difference, PixelDifference, ToneMap, 
 from torchbrdf.losses import ImageLoss, Problem
 from torchbrdf.losses.image import QuadraticModel
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import undisturbed
 from torchbrdf.reduction import Reduction
 from torchbrdf.render.scene import Scene
 from torchbrdf.render.transport.transport import Transport
@@ -48,6 +49,7 @@ class RenderedLoss(ImageLoss):
         tensor(0.)
     """
 
+    @undisturbed()
     def __init__(
         self,
         scene: Scene,

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
+from torchbrdf.precision import undisturbed
 from torchbrdf.render.light.environment import Environment
 from torchbrdf.render.light.punctual import PunctualLight
 from torchbrdf.render.raster.camera import Camera
@@ -62,6 +63,7 @@ class Scene:
         torch.Size([1, 8, 8, 3])
     """
 
+    @undisturbed()
     def __init__(
         self,
         mesh: Mesh,
@@ -104,6 +106,7 @@ class Scene:
         return self._pixels.coverage
 
     @property
+    @undisturbed()
     def mask(self) -> Tensor:
         """Mask of the pixels that show the object, `(size, size)`."""
         return self.coverage > 0
@@ -125,10 +128,12 @@ class Scene:
         return [(part, rows) for part in self._quadratures for rows in whole.split(max(_CHUNK // part.length, 1))]
 
     @cached_property
+    @undisturbed()
     def _built(self) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
         return build_transport(self._jobs, self._quadratures)
 
     @cached_property
+    @undisturbed()
     def _whole(self) -> tuple[Pairs, Transport]:
         index = self._pixels.index
         if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > LARGEST_KEPT:

@@ -15,6 +15,7 @@ from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.images import read_image
 from torchbrdf.parallel import thread_map
+from torchbrdf.precision import undisturbed
 from torchbrdf.render.light.octahedral import padded, texel_centers, to_sphere, to_square
 from torchbrdf.render.light.studio import make_studio
 
@@ -100,6 +101,7 @@ class Environment:
         return cls.from_image(make_studio(), rotation) if name == "studio" else cls.from_file(name, rotation)
 
     @classmethod
+    @undisturbed()
     def from_image(cls, image: Tensor, rotation: float = 0.0, where: str = "environment") -> "Environment":
         """Environment from a linear picture `(H, W, 3)`, area-averaged onto the map.
 
@@ -134,6 +136,7 @@ class Environment:
         return cls(torch.cat(strips, 2)[0].movedim(0, -1).contiguous(), rotation)
 
     @cached_property
+    @undisturbed()
     def _pyramid(self) -> list[Tensor]:
         """The map and its 2 x 2 averages, down to one texel; exact in energy, since all texels are equal."""
         levels = [self.texels]
@@ -142,6 +145,7 @@ class Environment:
         return levels
 
     @cached_property
+    @undisturbed()
     def _atlas(self) -> tuple[Tensor, Tensor]:
         """All levels, padded, as rows of one table, and where each starts: whole numbers that float32 has exactly."""
         levels = [padded(level).reshape(-1, 3) for level in self._pyramid]
