@@ -1,0 +1,18 @@
+"""Commands that are killed are taken up, end as if nothing had been, and leave nothing: benchmarks/kills.py, in short."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "kills.py"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("work", ["fit", "run", "train", "render"])
+def test_a_killed_command_is_taken_up_and_leaves_nothing(work):
+    done = subprocess.run(
+        [sys.executable, SCRIPT, work, "--kills", "2"], capture_output=True, text=True, timeout=1800, check=False
+    )
+    assert done.returncode == 0 and "2 kills" in done.stdout and "0 wrong" in done.stdout, done.stdout + done.stderr
