@@ -16,7 +16,8 @@ from waitress.server import create_server
 from werkzeug.exceptions import HTTPException
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.study.plan import PLAN, SELF_REPORTS, TEXTS, Plan, inside
+from torchbrdf.registry import unknown
+from torchbrdf.study.plan import PLAN, TEXTS, Plan, inside
 from torchbrdf.study.store import SIDES, STORE, IneligibleError, NotNowError, State, Store, UnknownObserverError
 
 PAGES = Path(__file__).parent / "pages"
@@ -30,7 +31,9 @@ LONGEST_RESPONSE = 86_400.0
 
 # Self-reports and their answers; None: free text.
 REPORTS: dict[str, tuple[str, ...] | None] = {
-    **SELF_REPORTS,
+    "colour_vision": ("normal", "deficient", "not sure"),
+    "acuity": ("yes", "no"),
+    "room": ("dark", "dim", "bright"),
     "display": None,
 }
 LONGEST_TEXT = 100
@@ -123,7 +126,13 @@ def make_app(folder: Path | str, experiment: str, store: Store) -> Flask:
     plan = store.plan
     plan.experiment(experiment)
     pictures = find_pictures(plan, Path(folder))
-    plan.check_screening()
+    for key, allowed in plan.screening.items():
+        choices = REPORTS.get(key)
+        if choices is None:
+            raise unknown("self-report to screen by", key, [key for key, choices in REPORTS.items() if choices])
+        for choice in allowed:
+            if choice not in choices:
+                raise unknown(f"answer to {key}", choice, choices)
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
