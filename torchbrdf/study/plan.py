@@ -194,12 +194,9 @@ class Plan:
     mark: str = ""
 
     def __post_init__(self) -> None:
-        for key, text in self.texts.items():
+        for key in self.texts:
             if key not in TEXTS:
                 raise unknown("text of a study", key, TEXTS)
-            for line in text.replace("\r\n", "\n").split("\n"):
-                if not is_one_line(line.replace("\t", " ")):
-                    raise UsageError(f"text {key!r}: expected printable lines, found {shown(line)}")
         if not abs(self.seed) <= LARGEST_SEED:
             raise UsageError(f"study: seed: expected at most {LARGEST_SEED:.0e}, found {shown(self.seed, 20)}")
         if self.mark:
@@ -228,6 +225,13 @@ class Plan:
                     f"experiment {experiment.name!r}: catch trials: expected {MEASURED} among the stimuli of "
                     f"{material.name}, and a stimulus with a known difference"
                 )
+
+    def check_texts(self) -> None:
+        """Refuse words that cannot be shown: a UsageError."""
+        for key, text in self.texts.items():
+            for line in text.replace("\r\n", "\n").split("\n"):
+                if not is_one_line(line.replace("\t", " ")):
+                    raise UsageError(f"text {key!r}: expected printable lines, found {shown(line)}")
 
     def check_screening(self) -> None:
         """Refuse a screening that would let nobody in: a UsageError."""
@@ -276,6 +280,7 @@ class Plan:
         try:
             with reading(path, EXPECTED):
                 plan = _plan_of(record)
+                plan.check_texts()
                 plan.check_screening()
         except UsageError as error:
             raise DataError(f"{path}: {error}") from None

@@ -21,7 +21,7 @@ from torchbrdf.study.connections import address, listening, make_server, say, st
 from torchbrdf.study.design import trials
 from torchbrdf.study.guard import Begins, Site
 from torchbrdf.study.pictures import find_pictures, plain_png
-from torchbrdf.study.plan import PLAN, SELF_REPORTS, TEXTS, Plan
+from torchbrdf.study.plan import PLAN, TEXTS, Plan
 from torchbrdf.study.store import (
     SIDES,
     STORE,
@@ -53,7 +53,9 @@ LONGEST_RESPONSE = 86_400.0
 
 # Self-reports and their answers; None: free text.
 REPORTS: dict[str, tuple[str, ...] | None] = {
-    **SELF_REPORTS,
+    "colour_vision": ("normal", "deficient", "not sure"),
+    "acuity": ("yes", "no"),
+    "room": ("dark", "dim", "bright"),
     "display": None,
 }
 LONGEST_TEXT = 100
