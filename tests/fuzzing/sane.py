@@ -44,9 +44,9 @@ def check_name(name: object, what: str) -> None:
 
 
 def check_line(text: object, what: str) -> None:
-    """A line of text."""
+    """A line of text, which may have no-break spaces."""
     expect(isinstance(text, str), f"{what} is {type(text).__name__}")
-    expect(str(text).isprintable(), f"{what} is not printable: {str(text)[:60]!r}")
+    expect(str(text).replace("\u00a0", " ").isprintable(), f"{what} is not printable: {str(text)[:60]!r}")
     expect(len(str(text)) <= LONGEST_NAME, f"{what} has {len(str(text))} characters")
 
 

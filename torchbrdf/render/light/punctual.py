@@ -1,6 +1,7 @@
 """Light that comes from one direction at every point: point and directional lights."""
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,9 @@ Triple = tuple[float, float, float]
 # Nearer than this a point light grows no brighter, so that one that touches the surface gives finite numbers; of
 # positions about 1 away from the origin float32 tells no closer ones apart.
 NEAREST = 1e-6
+# Beyond these, squares of distances, and what arrives at NEAREST, would not fit into float32.
+FARTHEST = 1e9
+BRIGHTEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class DirectionalLight:
         irradiance: W/m^2 on a surface that faces the light, red, green and blue, or one number for all three.
 
     Raises:
-        UsageError: The direction is 0, or a number is not finite or an irradiance below 0.
+        UsageError: The direction is 0 or not finite, or an irradiance not from 0 to 1e15.
 
     Example:
         >>> DirectionalLight((0, 2, 0), 3.0)
@@ -67,7 +71,7 @@ class PointLight:
         intensity: W/sr, red, green and blue, or one number for all three.
 
     Raises:
-        UsageError: A number is not finite, or an intensity below 0.
+        UsageError: A coordinate is not finite or beyond 1e9, or an intensity not from 0 to 1e15.
 
     Example:
         >>> _, irradiance, distance = PointLight((0, 2, 0), 8.0).at(torch.zeros(1, 3))
@@ -79,7 +83,10 @@ class PointLight:
     intensity: Triple | float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", _triple("PointLight.position", self.position))
+        position = _triple("PointLight.position", self.position)
+        if max(map(abs, position)) > FARTHEST:
+            raise UsageError(f"PointLight.position: expected at most {FARTHEST:g} from 0, found {self.position!r}")
+        object.__setattr__(self, "position", position)
         object.__setattr__(self, "intensity", _color("PointLight.intensity", self.intensity))
 
     def at(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -137,12 +144,13 @@ def _triple(where: str, values: object) -> Triple:
 
 
 def _color(where: str, values: object) -> Triple:
-    """Three numbers of at least 0, of three or of one."""
+    """Three numbers from 0 to BRIGHTEST, of three or of one."""
     channels = (values,) * 3 if _is_finite(values) else values
-    if not isinstance(channels, Sequence) or len(channels) != 3 or not all(_is_finite(x) and x >= 0 for x in channels):
-        raise UsageError(f"{where}: expected one or three finite numbers of at least 0, found {values!r}")
+    three = isinstance(channels, Sequence) and len(channels) == 3
+    if not three or not all(_is_finite(x) and 0 <= x <= BRIGHTEST for x in channels):  # type: ignore[attr-defined]
+        raise UsageError(f"{where}: expected one or three finite numbers from 0 to {BRIGHTEST:g}, found {values!r}")
     return _triple(where, channels)
 
 
 def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, int | float) and abs(value) <= sys.float_info.max
