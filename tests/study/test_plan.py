@@ -220,6 +220,7 @@ def test_a_plan_shows_only_pictures_of_its_folder(folder):
         (("texts",), {"title": "a\x1cb"}, "text 'title': expected printable lines, found 'a\\x1cb'"),
         (("texts",), {"titel": "x"}, "unknown text of a study 'titel'; expected one of"),
         (("screening",), {"color": ["normal"]}, "unknown self-report to screen by 'color'; expected one of acuity"),
+        (("screening",), {"room": [["dark"]]}, "expected `str`, got `array`"),
         (("screening",), {"room": ["bleak"]}, "unknown answer to room 'bleak'; expected one of bright, dark, dim"),
         (("colour",), 1, "unknown key of a plan 'colour'; expected one of experiments, mark"),
         (("materials", 0, "a\nb"), 1, "unknown key of materials[0] 'a\\nb'; expected one of name, order, reference"),
