@@ -1,4 +1,4 @@
-"""Commands that are killed are taken up, end as if nothing had been, and leave nothing: benchmarks/kills.py in short."""
+"""Killed commands are taken up, end as if nothing had been, and leave nothing: benchmarks/kills.py in short."""
 
 import subprocess
 import sys
