@@ -2,8 +2,8 @@
 
     python benchmarks/study_server.py [--observers 100]
 
-Every observer answers all 60 trials and, as a page does, loads the three pictures of the last trial that may be loaded
-ahead after each answer. They think before they answer: as long as people do, or for a moment, which is faster than any
+Every observer answers 20 of 60 trials and, as a page does, loads after each answer the three pictures of the last trial
+that may be loaded ahead. They think before they answer: as long as people do, or for a moment, which is faster than any
 person; or not at all, which shows what the server can do. The same is asked of a bare Flask application with the same
 settings, which records nothing and checks nothing: what is left for the study to make faster.
 """
@@ -28,6 +28,7 @@ from torchbrdf.study import Experiment, Material, Plan, Stimulus
 from torchbrdf.study.server import AHEAD
 from torchbrdf.study.store import STORE
 
+TRIALS = 20  # of 60
 STIMULI = ("a", "b", "c", "d")
 REPORTS = {"colour_vision": "normal", "acuity": "yes", "room": "dim", "display": ""}
 SCREEN = dict.fromkeys(("card", "pixel_ratio", "window_width", "window_height", "screen_width", "screen_height"), 1)
@@ -107,7 +108,7 @@ class Observer(threading.Thread):
         for trial in range(AHEAD):
             self.load(link, trial)
         self.together.wait()
-        while state["stage"] != "done":
+        while len(self.answers) < TRIALS:
             trial = state["trial"]
             if trial + AHEAD < state["of"]:
                 self.load(link, trial + AHEAD)
@@ -140,10 +141,10 @@ def measure(code, folder, count, think):
     found = []
     for what in ("answers", "pictures"):
         times = np.array([seconds for observer in observers for seconds in getattr(observer, what)])
-        if what == "answers" and len(times) != 60 * count:
-            raise RuntimeError(f"expected {60 * count} answers, found {len(times)}")
+        if what == "answers" and len(times) != TRIALS * count:
+            raise RuntimeError(f"expected {TRIALS * count} answers, found {len(times)}")
         found += [*np.percentile(times, (50, 95))]
-    return found, 60 * count / timer.clock, (cpu_of_children() - used) / (60 * count)
+    return found, TRIALS * count / timer.clock, (cpu_of_children() - used) / (TRIALS * count)
 
 
 def cpu_of_children():
@@ -156,7 +157,7 @@ def main(count, rounds):
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         size = make_study(Path(folder))
-        print(f"{count} observers at once, 60 trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB; milliseconds")
+        print(f"{count} observers at once, {TRIALS} trials each, PNGs of 400 x 400 pixels, {size / 1e3:.0f} kB, in ms")
         print(f"{'they think':18s} {'server':6s}  answers p50    p95  pictures p50    p95  answers/s  CPU a trial")
         for name, think in THINKING.items():
             for _ in range(rounds):
@@ -167,7 +168,8 @@ def main(count, rounds):
                     tails[server] = a95
                     print(
                         f"{name:18s} {server:6s} {1e3 * a50:12.1f} {1e3 * a95:6.1f} {1e3 * p50:13.1f} {1e3 * p95:6.1f} "
-                        f"{rate:10.0f} {1e3 * cpu:12.2f}"
+                        f"{rate:10.0f} {1e3 * cpu:12.2f}",
+                        flush=True,
                     )
                 print(f"{'':18s} p95 of answers: {tails['study'] / tails['bare']:.2f} of the bare server's")
 

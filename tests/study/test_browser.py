@@ -1,11 +1,13 @@
 """A person at the page of a study, in a real browser: looks at pixels, chooses, leaves, comes back."""
 
 import shutil
+import sqlite3
 import time
 from collections import Counter
 
 import numpy as np
 import pytest
+from helpers.prefix_proxy import proxy
 from helpers.study_folder import (
     BIRDS,
     EXPERIMENT,
@@ -21,6 +23,7 @@ from helpers.study_folder import (
 
 from torchbrdf.psychophysics import Comparisons, scale
 from torchbrdf.study import Plan, read_answers, write_answers
+from torchbrdf.study.connections import listening
 from torchbrdf.study.store import STORE, Store
 
 api = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install playwright")
@@ -356,6 +359,72 @@ def test_a_server_that_is_away(page, link, folder):
         shown(page, trial + 1)
     found = answers_of(folder, link)
     assert [one.chosen == one.right for one in found] == [True, False, False, True, True]
+
+
+def test_a_busy_server(page, link, folder):
+    start(page, link)
+    page.route("**/answer", lambda route: route.fulfill(status=503, headers={"Retry-After": "2"}, body="{}"), times=1)
+    began = time.monotonic()
+    page.keyboard.press("ArrowRight")
+    page.get_by_text("The server is busy. Nothing is lost; trying again").wait_for()
+    shown(page, 2)
+    assert time.monotonic() - began > 2 and not page.locator("#trouble").is_visible()
+    (found,) = answers_of(folder, link)
+    assert found.chosen == found.right
+
+
+def test_a_database_that_is_locked_for_a_while(page, link, folder):
+    start(page, link)
+    other = sqlite3.connect(folder / STORE, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    page.keyboard.press("ArrowLeft")
+    page.get_by_text("The server is busy").wait_for()
+    with page.expect_response("**/0/left.png") as heard:
+        page.evaluate("fetch(`${location.pathname}/0/left.png`, { cache: 'reload' })")
+    assert heard.value.status == 200
+    other.execute("ROLLBACK")
+    other.close()
+    shown(page, 2)
+    (found,) = answers_of(folder, link)
+    assert found.chosen == found.left
+
+
+@pytest.mark.parametrize("strips", [True, False])
+def test_behind_a_prefix(page, tmp_path, strips):
+    make_study(tmp_path, size=25)
+    with listening("127.0.0.1", 0) as free:
+        port = free.getsockname()[1]
+    with proxy(port, "/fits", strips) as front, serving(tmp_path, port=port, url=f"http://127.0.0.1:{front}/fits"):
+        heard = []
+        page.on("response", lambda response: heard.append((response.status, response.url)))
+        page.route(
+            "**/begin",
+            lambda route: route.fulfill(status=429, headers={"Retry-After": "1"}, body='{"error": "later"}'),
+            times=1,
+        )
+        page.goto(f"http://127.0.0.1:{front}/fits/")
+        page.get_by_role("checkbox").check()
+        page.get_by_role("button", name="Begin").click()
+        page.get_by_text("Many people begin just now").wait_for()
+        page.wait_for_url("**/fits/o/*")
+        for label in ("Normal", "Yes", "Dim"):
+            page.get_by_label(label, exact=True).check()
+        page.get_by_role("button", name="Continue").click()
+        page.get_by_label("How many squares").fill("6")
+        page.get_by_label("And how many").fill("8")
+        page.get_by_label("I have no card").check()
+        page.locator("#screen form > button").click()
+        page.get_by_role("button", name="Start").click()
+        for trial in (1, 2, 3):
+            shown(page, trial)
+            page.keyboard.press("ArrowLeft")
+        shown(page, 4)
+        page.reload()
+        page.get_by_role("button", name="Continue").click()
+        shown(page, 4)
+        assert len(answers_of(tmp_path, page.url)) == 3
+        assert [status for status, _ in heard if status >= 400] == [429]
+        assert {url.partition(f":{front}")[2][:6] for _, url in heard} == {"/fits/"}
 
 
 def test_two_windows(page, browser, link, folder):

@@ -98,12 +98,18 @@ def _files() -> int:
 @contextmanager
 def stopping() -> Iterator[None]:
     """Within the block, what asks a process to end, and the end of its terminal, stop it as Ctrl-C does."""
-    kept = {}
+    kept: dict[int, Any] = {}
+
+    def stop(*_: object) -> None:
+        for number in kept:
+            signal.signal(number, signal.SIG_IGN)  # ending takes a moment, which another signal is not to cut short
+        raise KeyboardInterrupt
+
     if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGHUP"):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # as with nohup
-                kept[number] = signal.signal(number, signal.default_int_handler)
+                kept[number] = signal.signal(number, stop)
     try:
         yield
     finally:

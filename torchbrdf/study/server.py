@@ -8,6 +8,7 @@ import sqlite3
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from flask import Flask, Response, abort, jsonify, make_response, redirect, rend
 from werkzeug.exceptions import HTTPException
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
-from torchbrdf.reading import read_bytes
+from torchbrdf.reading import read_bytes, reading
 from torchbrdf.registry import unknown
 from torchbrdf.study.connections import address, listening, make_server, say, stopping
+from torchbrdf.study.design import trials
 from torchbrdf.study.guard import Begins, Site
 from torchbrdf.study.pictures import find_pictures, plain_png
 from torchbrdf.study.plan import PLAN, TEXTS, Plan
@@ -45,6 +47,8 @@ MINUTE = 60.0
 # So many trials after the current one may be loaded ahead; so few that nobody can look through the study.
 AHEAD = 2
 LARGEST_BODY = 16 * 1024
+# Bytes of pictures that are kept in memory.
+PICTURES_KEPT = 2**26
 # Seconds; a page that is left open for longer says this.
 LONGEST_RESPONSE = 86_400.0
 
@@ -105,6 +109,7 @@ def serve(
         raise UsageError(f"--observers: expected 1 or more, found {observers}")
     plan = Plan.load(folder)
     with ExitStack() as stack:
+        stack.enter_context(stopping())
         listener = stack.enter_context(listening(host, port))
         store = Store(folder / STORE, plan)
         stack.callback(store.close)
@@ -123,7 +128,6 @@ def serve(
             ident="torchbrdf",
         )
         here = address(host, listener.getsockname()[1])
-        stack.enter_context(stopping())
         with store.checkpoints():
             say(f"{here} asks observers{f', who open {site.url}' if site.url else ''}; Ctrl-C stops")
             server.run()
@@ -144,11 +148,18 @@ def make_app(
 ) -> Flask:
     """Make the server as a WSGI application; the store has the plan. How many may begin is not limited by itself."""
     plan = store.plan
-    plan.experiment(experiment)
+    asked = plan.experiment(experiment)
+    with reading(Path(folder) / PLAN, f"an experiment {experiment!r} that can be asked"):
+        trials(plan, asked, 0)
     site = Site() if site is None else site
     check_screening(plan, Path(folder) / PLAN)
     texts = {key: paragraphs(plan, key, Path(folder) / PLAN) for key in TEXTS}
     pictures = find_pictures(plan, Path(folder))
+
+    # Many observers see the same pictures.
+    @lru_cache(maxsize=max(1, PICTURES_KEPT // max(path.stat().st_size for path, _ in pictures.values())))
+    def plain(path: Path) -> bytes:
+        return plain_png(read_bytes(path, "a PNG"), path)
 
     app = Flask(__name__, template_folder=str(PAGES), static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = LARGEST_BODY
@@ -226,9 +237,9 @@ def make_app(
         now = store.state(token)
         if now.stage != "trials" or not now.position <= trial <= min(now.position + AHEAD, now.trials - 1):
             abort(403, "this picture is not to be seen now")
-        asked = store.trial(now, trial)
-        path, _ = pictures[asked.material, None if what == "reference" else getattr(asked, what)]
-        found = Response(plain_png(read_bytes(path, "a PNG"), path), content_type="image/png")
+        pair = store.trial(now, trial)
+        path, _ = pictures[pair.material, None if what == "reference" else getattr(pair, what)]
+        found = Response(plain(path), content_type="image/png")
         found.headers["Cache-Control"] = "private, max-age=3600"
         return found
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -102,6 +103,8 @@ class Store:
 
     def __init__(self, path: Path | str, plan: Plan) -> None:
         self.path, self.plan = Path(path), plan
+        # Trials are fixed, and each is asked for once for each of its pictures.
+        self._trial = lru_cache(maxsize=10_000)(self._read_trial)
         with reading(self.path, f"{HELD} that can be written"):
             self._database = Database(self.path, SCHEMA)
         try:
@@ -143,25 +146,17 @@ class Store:
 
     def state(self, token: str) -> State:
         """State of an observer, by their link's token."""
-        with reading(self.path, HELD):
-            return _state(self._database.connection(), token)
+        return self._state(self._database.connection(), token)
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
-        rows = self._read(
-            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
-            tuple[str, str, str, Kind],
-            (state.observer, position),
-        )
-        if not rows:
-            raise DataError(f"{self.path}: expected trial {position} of {observer_name(state.observer)}, found none")
-        return Trial(*rows[0])
+        return self._trial(state.observer, position)
 
     def report(self, token: str, reports: Mapping[str, Any], eligible: bool) -> State:
         """Record what an observer says about themselves, once, and whether that lets them in."""
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage != "questions":
                 raise NotNowError("the questions are answered already")
             db.execute(
@@ -176,7 +171,7 @@ class Store:
         """Record what an observer's screen is like, once."""
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage != "screen":
                 raise NotNowError("the screen is not to be checked now")
             db.execute("UPDATE observers SET screen = ? WHERE id = ?", (json.dumps(screen), state.observer))
@@ -193,7 +188,7 @@ class Store:
             raise UsageError(f"side: expected left or right, found {side!r}")
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage == "screened":
                 raise IneligibleError("there are no trials for you")
             if state.stage != "trials" or position != state.position:
@@ -268,11 +263,25 @@ class Store:
         """Close the connections of all threads; none may be at work."""
         self._database.close()
 
+    def _read_trial(self, observer: int, position: int) -> Trial:
+        rows = self._read(
+            "SELECT material, left, right, kind FROM trials WHERE observer = ? AND position = ?",
+            tuple[str, str, str, Kind],
+            (observer, position),
+        )
+        if not rows:
+            raise DataError(f"{self.path}: expected trial {position} of {observer_name(observer)}, found none")
+        return Trial(*rows[0])
+
     def _read(self, statement: str, kind: type[T], values: tuple[Any, ...] = ()) -> list[T]:
         """Rows of some kind; a DataError that names the file if it is damaged, or holds something else."""
         with reading(self.path, HELD):
             rows = self._database.connection().execute(statement, values).fetchall()
             return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+
+    def _state(self, db: sqlite3.Connection, token: str) -> State:
+        with reading(self.path, HELD):
+            return _state(db, token)
 
     def _said(self, text: str | None) -> Any:
         """What an observer said, as JSON; None before they did."""
