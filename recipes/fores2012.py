@@ -59,10 +59,10 @@ class Fores2012(FitGridRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Fits, pictures, observers, report."""
+        groups, bad = load_materials(self.materials, folder, self.quick)
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
         size = min(self.size, 96) if self.quick else self.size
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
-        groups, bad = load_materials(self.materials, folder, self.quick)
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
         grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)

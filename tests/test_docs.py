@@ -154,8 +154,9 @@ def test_command_lines_are_understood(path: Path) -> None:
             options = build_parser().parse_args(words)
             if words[0] == "fit":
                 listed(LOBES, options.model)
-                listed(DIFFERENCES, options.difference)
-                if options.loss != "rendered":
+                if options.loss == "rendered":
+                    listed(DIFFERENCES, options.difference or "delta_e76")
+                else:
                     listed(LOSSES, options.loss)
             if words[0] == "run" and words[1] not in ("list", "my_recipe.py"):
                 settings = dict(setting.split("=", 1) for setting in options.settings)

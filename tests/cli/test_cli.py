@@ -193,6 +193,12 @@ def test_options_of_numbers_are_finite_and_bounded(text):
     assert number(0, 1)("0.5") == 0.5
 
 
+def test_what_the_system_says_is_one_line(tmp_path, capsys):
+    assert main(["fit", str(tmp_path / ("x" * 5000))]) == 1
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and len(printed.err) <= 330
+
+
 def test_help_teaches():
     done = subprocess.run([sys.executable, "-m", "torchbrdf", "--help"], capture_output=True, text=True, check=True)
     assert "torchbrdf run fores2012" in done.stdout and "torchbrdf fit nickel.binary" in done.stdout

@@ -30,8 +30,9 @@ def grid(tmp_path):
     """Two materials; fits of each under two losses by two strategies, those under rms being the material itself."""
     true = {"paint": ward([0.3, 0.2, 0.1], 0.2), "chalk": ward([0.7, 0.7, 0.6], 0.4)}
     write_fits(tmp_path / "materials.json", [FitRecord(name, "ward", 1, values) for name, values in true.items()])
+    scored = {"errors": {"rms": 0.1, "log": 0.1}, "outlier": False}
     records = [
-        FitRecord(name, "ward", 1, values if loss == "rms" else ward([0.4, 0.4, 0.4], 0.1), loss, strategy)
+        FitRecord(name, "ward", 1, values if loss == "rms" else ward([0.4, 0.4, 0.4], 0.1), loss, strategy, **scored)
         for name, values in true.items()
         for loss in ("rms", "log")
         for strategy in ("global", "staged")
@@ -144,3 +145,22 @@ def test_differences_are_known_by_the_names_that_they_had(grid):
     with pytest.raises(UsageError, match="expected delta_e76 among them"):
         ImageVsAnalytic(differences=("flip",))
     assert difference_label("delta_e") == difference_label("delta_e76")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("material", "wood", "expected one of the materials of this run, found 'wood'"),
+        ("model", "cook_torrance", "fit 1: "),
+        ("loss", "cube_root", "expected one of the losses of this run, found 'cube_root'"),
+        ("errors", {"rms": 0.1}, "expected its errors under rms, log, and outlier"),
+        ("outlier", None, "expected its errors under rms, log, and outlier"),
+    ],
+)
+def test_fits_of_something_else_are_refused(grid, key, value, said):
+    path = grid.folder.path / "fits.json"
+    values = json.loads(path.read_text())
+    values[1][key] = value
+    path.write_text(json.dumps(values))
+    with pytest.raises(DataError, match=f"fits.json: fit 1: .*{said.removeprefix('fit 1: ')}"):
+        grid.fit()

@@ -199,7 +199,7 @@ def test_csv_is_flat(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{", "expected the JSON of fits"),
+        ("{", "expected a list of fits"),
         ("[]", "expected a list of fits"),
         ('[{"material": "x"}]', "fit 0 lacks model, lobes, parameters"),
     ],

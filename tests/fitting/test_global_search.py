@@ -14,7 +14,18 @@ from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.fitting.scoring import material_batches
 from torchbrdf.fitting.task import levenberg_marquardt_fit
-from torchbrdf.lobes import LOBES, DistributionBased, FitRecord, Lambert, Sum, Ward, make_model, read_fits, write_fits
+from torchbrdf.lobes import (
+    LOBES,
+    DistributionBased,
+    FitRecord,
+    Lambert,
+    Sum,
+    Ward,
+    make_model,
+    parameters,
+    read_fits,
+    write_fits,
+)
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials
 from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, Problem, RMSLoss
 from torchbrdf.measured import Measured, load, standins
@@ -277,7 +288,8 @@ def test_fits_of_before_are_known_by_the_names_that_losses_had(tmp_path):
 def test_fits_of_before_are_known_by_the_names_that_image_differences_had(tmp_path):
     loss = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=4), "delta_e")
     settings = {"strategy": "staged", "diffuse": "fit", "samples": None}
-    record = FitRecord("paint", "ward", 1, {}, loss="rendered_delta_e", scene=loss.scene_summary, **settings)
+    values = parameters(make_model("ward", 1))
+    record = FitRecord("paint", "ward", 1, values, loss="rendered_delta_e", scene=loss.scene_summary, **settings)
     write_fits(tmp_path / "fits.json", [record])
     assert Batches(make_model("ward", 1), loss, out=tmp_path, **settings).done.keys() == {"paint"}
 

@@ -8,7 +8,9 @@ import torch
 from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured import FORMATS, MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, load, load_all, merl_name
+from torchbrdf.measured import FORMATS, MERL_NAMES, MERL_SHA256, PAPER_TEN, Measured, is_merl, load, load_all, merl_name
+from torchbrdf.names import check_name
+from torchbrdf.pairs import Pairs
 
 
 @pytest.fixture
@@ -110,6 +112,37 @@ def test_a_folder_of_other_things(tmp_path):
     (tmp_path / "notes.txt").write_text("notes")
     with pytest.raises(DataError, match=r"found 1 files, none of them one"):
         load(tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["red\x1b[31m", "two\nlines", "a\\b", "x" * 240, os.fsdecode(b"gr\xfcn")])
+def test_a_files_name_makes_a_name(tmp_path, stem):
+    path = tmp_path / f"{stem}.bsdf"
+    path.write_bytes(tensor_file(synthetic_bsdf()))
+    (name,) = load(path).names
+    assert check_name(name, "names") == name
+    path.write_bytes(b"tensor_file")
+    with pytest.raises(DataError) as caught:
+        load(path)
+    assert str(caught.value).isprintable() and len(str(caught.value)) <= 300
+
+
+def test_names_of_samples_are_checked():
+    angle = torch.tensor([[0.1, 0.2]])
+    with pytest.raises(DataError, match=r"Measured: names: expected a name .*, found '\.\./x'"):
+        Measured.from_samples(Pairs.from_half_diff(angle, angle, angle), torch.ones(1, 2, 3), names=["../x"])
+
+
+def test_a_format_that_fails_names_the_file(tmp_path, monkeypatch):
+    (tmp_path / "x.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
+
+    def fail(paths):
+        raise KeyError("theta")
+
+    monkeypatch.setattr(FORMATS["rgl"], "open", fail)
+    with pytest.raises(
+        DataError, match=r"x\.bsdf: expected a measured BRDF of the format rgl, found KeyError: 'theta'"
+    ):
+        load(tmp_path / "x.bsdf")
 
 
 def test_unreadable(tmp_path, monkeypatch):

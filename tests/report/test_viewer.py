@@ -24,7 +24,7 @@ from torchbrdf.render import Camera, Environment, Scene, find_mesh, render
 from torchbrdf.report.viewer import first_pair
 
 SIZE, STEPS = 24, 2
-WICKED = "<script>document.title = 'taken'</script>"
+WICKED = "<script>document.title = 'taken'<!--"
 PAINT = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), CookTorrance(specular=0.5, roughness=0.2, f0=0.2))
 DULL = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4))
 

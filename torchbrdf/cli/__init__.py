@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from torchbrdf import __version__
 from torchbrdf.cli import fit, info, render, run, study, view
 from torchbrdf.cli.common import Parser, described
-from torchbrdf.errors import TorchbrdfError, UsageError
+from torchbrdf.errors import TorchbrdfError, UsageError, one_line
 
 DESCRIPTION = """\
 Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 2
     except (TorchbrdfError, OSError) as error:
-        print(f"torchbrdf: {error}", file=sys.stderr)
+        print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("torchbrdf: stopped", file=sys.stderr)

@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
 from torchbrdf.lobes import LOBES, FitRecord, make_model, read_fits, write_fits
 from torchbrdf.losses import Loss
@@ -143,7 +144,7 @@ class FitGrid:
     def fit(self) -> None:
         """Fit everything that `fits.json` does not hold yet, and score it under every loss."""
         path = self.folder.path / "fits.json"
-        self.records = read_fits(path) if path.exists() else []
+        self.records = self._stored(path) if path.exists() else []
         kinds = [(self.strategy, lobes) for lobes in self.lobes]
         kinds += [(self.compare_strategy, self.lobes[0])] if self.compare_strategy else []
         total = len(self.materials) * len(self.models) * len(self.losses) * len(kinds)
@@ -155,6 +156,22 @@ class FitGrid:
                     if not self._has(strategy, model, lobes, group):
                         self.records += self._fit(strategy, model, lobes, group, progress, total)
                         self.save()
+
+    def _stored(self, path: Path) -> list[FitRecord]:
+        """The records of an earlier run in this folder.
+
+        Raises:
+            DataError: It holds other fits, or fits without what every fit of a grid has.
+        """
+        records = read_fits(path)
+        wanted = {"materials": self.materials, "models": self.models, "losses": list(self.losses)}
+        for k, record in enumerate(records):
+            for (plural, names), name in zip(wanted.items(), (record.material, record.model, record.loss), strict=True):
+                if name not in names:
+                    raise DataError(f"{path}: fit {k}: expected one of the {plural} of this run, found {shown(name)}")
+            if set(record.errors) != set(self.losses) or record.outlier is None:
+                raise DataError(f"{path}: fit {k}: expected its errors under {', '.join(self.losses)}, and outlier")
+        return records
 
     def save(self) -> None:
         """Write `fits.json` and `fits.csv`."""

@@ -30,8 +30,8 @@ COLOR_FEATURES = ("luminance", "chroma")
 SHAPES = {"mean": (THETA_H_BINS, THETA_D_BINS), "contrast": (len(BIN_PAIRS), THETA_D_BINS)}
 POINTWISE = "pointwise"
 BUNDLED = "learned_metric.json"
-LARGEST_WEIGHT = 1e8
-"""Trained weights are below 1e3; with much larger ones distances overflow in float32."""
+LARGEST_WEIGHT = 1e20
+"""Trained weights are below 1e3, or 4e10 for a bin that few pairs see; far larger ones overflow in float32."""
 
 
 class MetricWeights(TypedDict):

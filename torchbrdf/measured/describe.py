@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from torchbrdf.errors import DataError
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
@@ -35,6 +36,8 @@ def describe(path: str | Path) -> dict[str, object]:
 
 def _material(measured: Measured) -> dict[str, object]:
     values, valid = measured.values[0], measured.weight[0, :, 0] > 0
+    if not valid.any():
+        raise DataError(f"{measured.names[0]}: expected valid samples, found none")
     facts: dict[str, object] = {
         "samples": len(valid),
         "valid samples": int(valid.sum()),

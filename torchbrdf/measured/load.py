@@ -11,6 +11,7 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
 from torchbrdf.names import clean_name
+from torchbrdf.reading import reading
 
 log = logging.getLogger("torchbrdf")
 
@@ -112,10 +113,16 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
 
 
 def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
-    source = FORMATS[name].open(paths)
+    source = _opened(name, paths)
     # A name becomes a file's name and a line on pages: one that a file's stem gives may be anything.
     source.names = _unique([clean_name(one) for one in source.names], source.paths)
     return Measured(source, dtype=dtype, device=device)
+
+
+def _opened(name: str, paths: Sequence[Path]) -> BrdfFormat:
+    """The source of some files; whatever a reader of another package raises is an error that names the first."""
+    with reading(paths[0], f"a measured BRDF of the format {name}"):
+        return FORMATS[name].open(paths)
 
 
 def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -142,7 +149,7 @@ def _good(name: str, paths: Sequence[Path], bad: list[DataError]) -> list[Path]:
     good = []
     for path in paths:
         try:
-            FORMATS[name].open([path])
+            _opened(name, [path])
         except DataError as error:
             bad.append(error)
         else:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import Registry, unknown
 
@@ -157,7 +158,8 @@ class Samples(BrdfFormat):
         self.weight = torch.where(valid, given, 0)
         self.values = torch.where(self.weight > 0, values, 0)
         self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs.unsqueeze()
-        self.names = list(names) if names is not None else [f"material{k}" for k in range(len(values))]
+        given_names = names if names is not None else [f"material{k}" for k in range(len(values))]
+        self.names = [check_name(name, "Measured: names") for name in given_names]
         self.paths = []
 
     @classmethod
@@ -236,6 +238,7 @@ class Measured:
 
         Raises:
             ShapeError: The shapes do not fit together.
+            DataError: A name is none.
 
         Example:
             >>> angle = torch.tensor([[0.1, 0.2]])

@@ -126,8 +126,9 @@ class Merl(BrdfFormat):
         part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
         valid = _valid(part) & _above()[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
-        for channel, scale in enumerate(CHANNEL_SCALES):
-            np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
+        with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
+            for channel, scale in enumerate(CHANNEL_SCALES):
+                np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
         rows[:, 3] = 1
         rows[~valid] = 0
         return rows
