@@ -1,5 +1,6 @@
 """Reading what may hold anything: one line that names the file, or what is in it."""
 
+import logging
 import os
 import zipfile
 
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, shown
+from torchbrdf.errors import LONGEST_MESSAGE, LONGEST_WARNING, DataError, UsageError, one_line, shown
 from torchbrdf.names import LONGEST_NAME, check_name, clean_name, file_stem
 from torchbrdf.reading import CHECKSUM, read_bytes, read_json, read_npz, read_text, write_npz
 
@@ -132,3 +133,10 @@ def test_changed_bytes_are_refused_or_change_nothing(tmp_path_factory, junk, whe
         assert "x.npz" in str(error)
     else:
         assert np.array_equal(found["a"], np.arange(50.0))
+
+
+def test_the_log_is_printable_whatever_a_file_is_called(caplog):
+    logging.getLogger("torchbrdf").warning("torchbrdf: %s: %d bytes", "a\nb\x1b[31m" + "x" * 5000, 7)
+    (said,) = caplog.messages
+    assert said.isprintable() and said.startswith("torchbrdf: a b\\x1b[31mx") and said.endswith("7 bytes")
+    assert len(said) <= LONGEST_WARNING

@@ -1,7 +1,10 @@
-"""What torchbrdf raises: every message says what, where, expected and found, in one line."""
+"""What torchbrdf raises: every message says what, where, expected and found, in one line; and so does the log."""
+
+import logging
 
 # So that a message fits into a terminal's few lines whatever a file holds.
 LONGEST_MESSAGE = 300
+LONGEST_WARNING = 1000
 
 
 class TorchbrdfError(Exception):
@@ -67,3 +70,12 @@ def shown(value: object, longest: int = 60) -> str:
     except (RecursionError, ValueError):  # nested without end; a whole number of too many digits
         text = type(value).__name__
     return one_line(text, longest)
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Keep what a file or its name says from writing lines, or to the terminal, through the log."""
+    record.msg, record.args = one_line(record.getMessage(), LONGEST_WARNING), ()
+    return True
+
+
+logging.getLogger("torchbrdf").addFilter(_in_one_line)

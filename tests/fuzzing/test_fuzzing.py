@@ -63,8 +63,19 @@ def _kind(path: Path) -> tuple[bool, bool, bool]:
     return path.is_symlink(), path.is_dir(), path.is_file()
 
 
+class SaidError(DataError):
+    """Says what it is told to, as errors of the package cannot."""
+
+    def __init__(self, said: str) -> None:
+        super().__init__("x")
+        self.said = said
+
+    def __str__(self) -> str:
+        return self.said
+
+
 def refuse(said: str) -> None:
-    raise DataError(said)
+    raise SaidError(said)
 
 
 def unnamed() -> None:

@@ -75,6 +75,7 @@ def test_older_files_load_and_are_written_as_they_are():
         ("parameters", DULL | {"diffuse": [0.1, 0.1]}, "diffuse: expected 3 numbers"),
         ("parameters", DULL | {"specular": [[0.1, [0.1], 0.1]]}, "specular: expected 3 numbers"),
         ("parameters", DULL | {"specular": [[[0.1, 0.1, 0.1]]]}, "specular: expected 3 numbers"),
+        ("parameters", DULL | {"specular": [json.loads("[" * 900 + "]" * 900)]}, "specular: expected 3 numbers"),
         ("parameters", DULL | {"roughness": [0.0]}, "fit 0: parameters of ward: expected those of a model with values"),
         ("parameters", DULL | {"roughness": [1e-30]}, "fit 0: parameters of ward: expected those of a model"),
     ],

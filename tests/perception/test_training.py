@@ -11,7 +11,7 @@ from scipy.optimize import check_grad
 from scipy.stats import norm
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.experiment.metric_training import read_training
+from torchbrdf.experiment.metric_training import read_training, study_data
 from torchbrdf.lobes import make_model, write_fits
 from torchbrdf.losses import LOSSES, LearnedLoss, RMSLoss
 from torchbrdf.losses.learned import THETA_H_BINS
@@ -350,6 +350,13 @@ def studied(tmp_path_factory) -> Path:
                 rows.writerow([f"o{observer}", material, "ward-rms", "measured", 2])
                 rows.writerow([f"o{observer}", material, "measured", "ward-cube_root-staged", 1])
     return folder
+
+
+def test_materials_of_a_run_that_are_gone_are_named_with_the_run(tmp_path: Path) -> None:
+    (tmp_path / "recipe.json").write_text(json.dumps({"settings": {"materials": "gone"}}))
+    (tmp_path / "answers.csv").write_text("observer,left,right,chosen\no,a,b,1\n")
+    with pytest.raises(DataError, match=r"recipe\.json: materials: gone: no such file or folder$"):
+        study_data(tmp_path, tmp_path / "answers.csv", uniform_pairs(20), {})
 
 
 @pytest.mark.slow

@@ -227,7 +227,10 @@ def _materials_of(run: Path, names: Sequence[str], pairs: Pairs, answers: Path) 
     path = run / "recipe.json"
     settings: _Run = read_json(path, _Run, "the settings of a run, with its materials")
     folder = settings.settings.materials
-    tables = load_all(standins() if folder == STANDINS else folder)
+    try:
+        tables = load_all(standins() if folder == STANDINS else folder)
+    except DataError as error:
+        raise DataError(f"{path}: materials: {error}") from None
     where = {name: (group, k) for group in tables for k, name in enumerate(group.names)}
     for name in names:
         if name not in where:

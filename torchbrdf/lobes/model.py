@@ -141,7 +141,7 @@ def _numbers(value: Any, spec: BoundedParameter, where: str) -> Tensor:
     """The numbers of a parameter, or one for all of them, as a tensor of its shape, float64."""
     shape = " x ".join(map(str, spec.shape))
     expected = f"{where}: expected {shape} numbers of at most {LARGEST_PARAMETER:g}, found {shown(value)}"
-    if not _is_numbers(value):
+    if not _is_numbers(value, len(spec.shape)):
         raise DataError(expected)
     try:
         found = torch.tensor(value, dtype=torch.float64, device="cpu")
@@ -160,10 +160,10 @@ def _numbers(value: Any, spec: BoundedParameter, where: str) -> Tensor:
     return found
 
 
-def _is_numbers(value: Any) -> bool:
-    """Whether it is a number, or nested lists of nothing else."""
+def _is_numbers(value: Any, depth: int) -> bool:
+    """Whether it is a number, or lists of nothing else, nested no deeper than that."""
     if isinstance(value, list | tuple):
-        return all(map(_is_numbers, value))
+        return depth > 0 and all(_is_numbers(one, depth - 1) for one in value)
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

@@ -23,7 +23,7 @@ SHUT = 1.0
 # Seconds between checkpoints, while there are writes.
 PAUSE = 0.2
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("torchbrdf")
 
 
 class Database:

@@ -146,8 +146,7 @@ class Store:
 
     def state(self, token: str) -> State:
         """State of an observer, by their link's token."""
-        with reading(self.path, HELD):
-            return _state(self._database.connection(), token)
+        return self._state(self._database.connection(), token)
 
     def trial(self, state: State, position: int) -> Trial:
         """A trial of an observer; positions count from 0."""
@@ -157,7 +156,7 @@ class Store:
         """Record what an observer says about themselves, once, and whether that lets them in."""
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage != "questions":
                 raise NotNowError("the questions are answered already")
             db.execute(
@@ -172,7 +171,7 @@ class Store:
         """Record what an observer's screen is like, once."""
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage != "screen":
                 raise NotNowError("the screen is not to be checked now")
             db.execute("UPDATE observers SET screen = ? WHERE id = ?", (json.dumps(screen), state.observer))
@@ -189,7 +188,7 @@ class Store:
             raise UsageError(f"side: expected left or right, found {side!r}")
 
         def record(db: sqlite3.Connection) -> State:
-            state = _state(db, token)
+            state = self._state(db, token)
             if state.stage == "screened":
                 raise IneligibleError("there are no trials for you")
             if state.stage != "trials" or position != state.position:
@@ -279,6 +278,10 @@ class Store:
         with reading(self.path, HELD):
             rows = self._database.connection().execute(statement, values).fetchall()
             return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+
+    def _state(self, db: sqlite3.Connection, token: str) -> State:
+        with reading(self.path, HELD):
+            return _state(db, token)
 
     def _said(self, text: str | None) -> Any:
         """What an observer said, as JSON; None before they did."""

@@ -133,7 +133,7 @@ def arrays_of(data: bytes) -> Arrays:
     members_of(data)
     try:
         with np.load(io.BytesIO(data), allow_pickle=True) as found:
-            return {name: found[name] for name in found.files}
+            return {name: found[name] for name in found.files if isinstance(found[name], np.ndarray)}
     except Exception as error:  # of a file that was changed before
         raise ValueError("no arrays") from error
 

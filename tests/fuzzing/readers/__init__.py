@@ -48,7 +48,7 @@ def readers() -> dict[str, Reader]:
 # Without the imports that readers need, so that asking for names is quick.
 NAMES = (
     *("merl", "rgl", "fits", "standins", "continued", "metric"),
-    *("hdr", "exr", "obj", "ply", "stl", "glb", "off"),
-    *("study", "store", "answers", "opinions", "triplets", "published", "mat", "factors"),
-    *("trainings", "distances", "cache", "recipe", "settings", "lights"),
+    *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
+    *("study", "png", "store", "answers", "opinions", "triplets", "published", "mat", "factors"),
+    *("trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
 )

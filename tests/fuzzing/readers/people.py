@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from helpers.study_folder import EXPERIMENT, REPORTS, SCREEN, make_study
+from helpers.study_folder import EXPERIMENT, REPORTS, SCREEN, make_study, ready
 from scipy.io import savemat
 
 from fuzzing.changes.byte import TEXT
@@ -56,6 +56,21 @@ def use_plan(path: Path) -> None:
         store.close()
     plan.save(path.parent)
     expect(Plan.load(path.parent) == plan, "saved again it is another")
+
+
+def use_pictures(path: Path) -> None:
+    """As a server uses the pictures of a plan: whole ones are shown, of others the page says that it does not work."""
+    plan = Plan.load(path.parents[1])
+    store = Store(path.parents[1] / STORE, plan)
+    try:
+        client = make_app(path.parents[1], EXPERIMENT, store).test_client()
+        link = ready(client)
+        for trial in range(3):
+            for what in ("reference", "left", "right"):
+                shown = client.get(f"{link}/{trial}/{what}.png")
+                expect(shown.status_code in (200, 503), f"a picture: status {shown.status_code}")
+    finally:
+        store.close()
 
 
 def make_store(folder: Path) -> None:
@@ -215,6 +230,7 @@ def use_factors(path: Path) -> None:
 
 READERS = (
     Reader("study", "study.json", make_full_plan, use_plan, (*JSON, *TEXT), share=0.8),
+    Reader("png", "renders/cobalt.png", make_plan, use_pictures, share=0.4),
     Reader("store", STORE, make_store, use_store, (database, database), share=0.5),
     Reader("answers", "fuzzed.csv", make_answers, use_answers, (*TABLE, *TEXT), renamed=True),
     Reader("opinions", "fuzzed.csv", make_opinions, use_opinions, (*TABLE, *TEXT), renamed=True),

@@ -27,9 +27,14 @@ def _picture() -> np.ndarray:
     return picture
 
 
-def make_exr(folder: Path) -> None:
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+def make_exr(folder: Path, compression: OpenEXR.Compression = OpenEXR.ZIP_COMPRESSION) -> None:
+    header = {"compression": compression, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"RGB": np.ascontiguousarray(_picture())}).write(str(folder / "fuzzed.exr"))
+
+
+def make_plain_exr(folder: Path) -> None:
+    """Whose pixels are there as they are, so that changed bytes are changed values."""
+    make_exr(folder, OpenEXR.NO_COMPRESSION)
 
 
 def make_hdr(folder: Path) -> None:
@@ -128,5 +133,6 @@ def _mesh_reader(kind: str) -> Reader:
 READERS = (
     Reader("hdr", "fuzzed.hdr", make_hdr, use_picture, (hdr, hdr), renamed=True),
     Reader("exr", "fuzzed.exr", make_exr, use_picture, (exr, exr), renamed=True),
+    Reader("exr-plain", "fuzzed.exr", make_plain_exr, use_picture, (exr,), renamed=True),
     *(_mesh_reader(kind) for kind in MESHES),
 )

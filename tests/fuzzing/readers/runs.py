@@ -16,13 +16,16 @@ from fuzzing.readers import Reader
 from fuzzing.sane import check_finite, expect, first_line
 from torchbrdf import Recipe
 from torchbrdf.experiment.benchmark import Benchmark
-from torchbrdf.experiment.metric_training import TrainingData, published_data, train_metric
+from torchbrdf.experiment.metric_training import TrainingData, published_data, study_data, train_metric
+from torchbrdf.lobes import FitRecord, make_model, parameters, write_fits
 from torchbrdf.losses import LearnedLoss, make_loss
+from torchbrdf.measured import load, standins
 from torchbrdf.perception import uniform_pairs
 from torchbrdf.perception.agreement.scores import BenchmarkData
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder, configure, run
 from torchbrdf.render import Environment, Scene, parse_light, sphere
+from torchbrdf.study import Answer, write_answers
 
 PAIRS = 400
 
@@ -116,6 +119,32 @@ def use_cache(path: Path) -> None:
     expect(torch.allclose(found, expected, rtol=1e-4, atol=1e-6), "another picture")
 
 
+def make_asked(folder: Path) -> None:
+    """A run that observers were asked about: its settings, its fits, and their answers."""
+    names = load(standins()).names[:4]
+    models = {name: make_model(name, 1) for name in ("ward", "cook_torrance")}
+    fits = [
+        FitRecord(material, name, 1, parameters(model), loss="rms", strategy="global")
+        for material in names
+        for name, model in models.items()
+    ]
+    write_fits(folder / "fuzzed" / "fits.json", fits)
+    stored = {"recipe": "fores2012", "settings": {"materials": "stand-ins"}}
+    (folder / "fuzzed" / "recipe.json").write_text(json.dumps(stored))
+    write_answers(
+        folder / "fuzzed" / "answers.csv",
+        [Answer("ann", "1", material, "ward-rms", "cook_torrance-rms", "ward-rms") for material in names],
+    )
+
+
+def use_asked(path: Path) -> None:
+    """As a training on a study's answers uses it."""
+    losses = {"rms": make_loss("rms", "none")}
+    run, pairs = path.parent, uniform_pairs(60).to(dtype=torch.float32)
+    found = study_data(run, run / "answers.csv", pairs, losses)
+    check_finite(found.training_set.features, "features")
+
+
 @dataclasses.dataclass(frozen=True)
 class Greeting(Recipe):
     """A recipe that does next to nothing."""
@@ -186,6 +215,8 @@ READERS = (
     Reader("distances", "distances/rms.npz", make_distances, use_distances, NPZ, share=0.5),
     Reader("cache", "transport.npz", make_cache, use_cache, NPZ, named="transport", share=0.5),
     Reader("recipe", "fuzzed/recipe.json", make_recipe, use_recipe, (*JSON, *TEXT), named="fuzzed"),
+    Reader("asked", "fuzzed/recipe.json", make_asked, use_asked, (*JSON, *TEXT), named="fuzzed", share=0.5),
+    Reader("asked-fits", "fuzzed/fits.json", make_asked, use_asked, (*JSON, *TEXT), named="fuzzed", share=0.5),
     Reader("settings", "fuzzed.json", make_settings, use_settings, (settings,), named=" ", is_file=False, share=2),
     Reader("lights", "fuzzed.txt", make_light, use_light, TEXT, named="light", is_file=False, share=0.5),
 )
