@@ -213,7 +213,8 @@ def _with_lost(
         if isinstance(one, Lost):
             reasons |= dict.fromkeys(rows, one.reason)
             count = len(rows)
-            nothing, none = torch.full((count,), torch.nan, dtype=torch.float64), torch.zeros(count, dtype=torch.long)
+            nothing = torch.full((count,), torch.nan, dtype=torch.float64, device="cpu")
+            none = torch.zeros(count, dtype=torch.int64, device="cpu")
             lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
             values = take_materials(start, rows)
             starts = kept.outcome.starts if kept else 0

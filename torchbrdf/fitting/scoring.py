@@ -115,14 +115,11 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
                 found[id(loss)] = errors(fitted, loss.problem(part), [loss])[0]
         return torch.stack([found[id(loss)] for loss in losses])
 
-    shape = (len(losses), len(models))
-    return torch.cat(
-        [
-            torch.full((*shape, len(rows)), torch.nan, dtype=torch.float64) if isinstance(found, Lost) else found
-            for rows, found in parallel_map(score_some, measured)
-        ],
-        -1,
-    )
+    def lost(count: int) -> Tensor:
+        return torch.full((len(losses), len(models), count), torch.nan, dtype=torch.float64, device="cpu")
+
+    parts = parallel_map(score_some, measured)
+    return torch.cat([lost(len(rows)) if isinstance(found, Lost) else found for rows, found in parts], -1)
 
 
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:
