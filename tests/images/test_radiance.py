@@ -155,6 +155,7 @@ def test_padding_is_passed_over_and_the_log_says_so(tmp_path: Path, caplog: pyte
         ("COLORCORR=2 4 8\n", (2, 4, 8)),
         ("COLORCORR= 2 4 8\nEXPOSURE=0.5\nCOLORCORR=0.5 1 2\n", (0.5, 2, 8)),
         ("GAMMA=1\nPIXASPECT=1.0\n\tEXPOSURE=7\n# EXPOSURE=7\nVIEW= -vtv\n", (1, 1, 1)),
+        ("exposure =7\n", (7, 7, 7)),
     ],
 )
 def test_factors_of_the_header_are_taken_out(tmp_path: Path, header: str, factors: tuple[float, ...]) -> None:

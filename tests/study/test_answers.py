@@ -248,6 +248,16 @@ def test_no_bytes_make_reading_fail_in_another_way(tmp_path_factory, data):
         assert "answers.csv" in str(error)
 
 
+def test_columns_that_are_not_read_are_named_and_counts_are_refused(tmp_path, caplog):
+    path = tmp_path / "answers.csv"
+    path.write_text("observer,a,b,winner,mood,count\nx,p,q,p,good,1\n")
+    assert len(read_answers(path)) == 1
+    assert "columns that are not read: mood, count" in caplog.text
+    path.write_text("observer,a,b,winner,count\nx,p,q,p,17\n")
+    with pytest.raises(DataError, match=r"answers\.csv: expected a row an answer, found a column 'count'"):
+        read_answers(path)
+
+
 def test_what_is_no_file_is_a_clear_error(tmp_path):
     os.mkfifo(tmp_path / "fifo.csv")
     for name, found in (("nowhere.csv", "no such file"), ("fifo.csv", "no regular file"), ("", "Is a directory")):

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
@@ -11,6 +12,9 @@ from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, s
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
     from torchbrdf.progress import Progress
+
+# Of progress, where no terminal shows it.
+SECONDS_BETWEEN_LINES = 30.0
 
 Options = argparse.Namespace
 Commands = Any
@@ -77,7 +81,9 @@ def number(low: float, high: float) -> Callable[[str], float]:
 
 
 def progress_bar(label: str) -> "Progress":
-    """A progress bar on a terminal; nothing where there is none, or nothing to do."""
+    """A progress bar on a terminal, elsewhere a line every half minute; nothing where there is nothing to do."""
+    if not sys.stderr.isatty():
+        return _lines(label)
     from tqdm import tqdm
 
     shown: list[tqdm[Any]] = []
@@ -88,6 +94,19 @@ def progress_bar(label: str) -> "Progress":
         shown[0].update(done - shown[0].n)
         if done >= total:
             shown[0].close()
+
+    return progress
+
+
+def _lines(label: str) -> "Progress":
+    """A progress for a file or a log, which would show a bar as one endless line."""
+    said = [time.monotonic()]
+
+    def progress(done: int, total: int) -> None:
+        now = time.monotonic()
+        if done < total and now - said[0] >= SECONDS_BETWEEN_LINES:
+            said[0] = now
+            print(f"torchbrdf: {label}: {done} of {total}", file=sys.stderr)
 
     return progress
 

@@ -52,7 +52,10 @@ def add(commands: Commands) -> None:
         "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
     )
     parser.add_argument(
-        "--samples", type=samples, default=20_000, help="pairs of the search, up to 10 million, or all (default 20000)"
+        "--samples",
+        type=samples,
+        default=20_000,
+        help="pairs of the search, up to 10 million; 0 or all: all (default 20000)",
     )
     parser.add_argument("--seed", type=whole(*SEEDS), default=0, help="seed of the subset (default 0)")
     parser.add_argument(

@@ -86,9 +86,9 @@ def add(commands: Commands) -> None:
     serve.add_argument("run", help="folder of a run, with a study.json")
     serve.add_argument("--experiment", help="its name (default: the first)")
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at (default 127.0.0.1: this computer)")
-    serve.add_argument("--port", type=int, default=8000, help="port; 0: a free one (default 8000)")
+    serve.add_argument("--port", type=whole(0, 65535), default=8000, help="port; 0: a free one (default 8000)")
     serve.add_argument("--url", help="of the page, where observers come through a proxy: https://host/prefix")
-    serve.add_argument("--observers", type=int, default=1000, help="so many may begin (default 1000)")
+    serve.add_argument("--observers", type=whole(1, 1_000_000), default=1000, help="so many may begin (default 1000)")
     serve.set_defaults(command=serve_command)
 
     new = described(parts.add_parser("add", help="add an experiment to a run"), ADD)

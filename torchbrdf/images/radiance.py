@@ -83,6 +83,7 @@ def _header(path: Path, data: bytes) -> tuple[_Header, int]:
         if not line:
             return header, start
         key, _, value = line.partition(b"=")
+        key = key.rstrip().upper()  # not all writers are strict; what is indented is of a picture that this was made of
         if key == b"FORMAT":
             if value.strip() not in (b"32-bit_rle_rgbe", b"32-bit_rle_xyze"):
                 raise DataError(f"{path}: expected FORMAT=32-bit_rle_rgbe or _xyze, found {shown(value.strip())}")

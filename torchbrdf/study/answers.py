@@ -36,6 +36,10 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "seed": (),
     "kind": (),
 }
+# pwcmp's, and no experiment: it counts sittings.
+_PASSED_OVER = "session_id"
+# Columns of files that have one row for several answers.
+_COUNTS = {"count", "counts", "weight", "weights", "n", "votes", "frequency"}
 NEEDED = ("observer", "condition_1", "condition_2", "selection")
 _OURS = {other: name for name, others in COLUMNS.items() for other in (name, *others)}
 # Seconds; beyond, it is no time that somebody took.
@@ -106,7 +110,7 @@ class Answer:
 
 def simulated(answers: Iterable[Answer]) -> bool:
     """Whether any of the answers' observers is simulated, no person."""
-    return any(answer.observer.startswith(SIMULATED) for answer in answers)
+    return any(answer.observer.casefold().startswith(SIMULATED) for answer in answers)
 
 
 def write_answers(path: Path | str, answers: Iterable[Answer]) -> None:
@@ -136,7 +140,8 @@ def read_answers(path: Path | str) -> list[Answer]:
     mean is settled for a whole file, see `torchbrdf.study.selection.SELECTIONS`: places (1, 2, left, right), names, or
     pwcmp's 1 for the first and 0 for the second. In a file with exactly the columns of `write_answers` they are places.
     A response time, a time or a seed that cannot be read counts as missing, and the log says so. pwcmp's session_id,
-    which counts an observer's sittings, is no experiment, and other columns are passed over.
+    which counts an observer's sittings, is no experiment. Columns that are not read are named in the log; one that
+    counts how often an answer was given is refused.
 
     Args:
         path: The file, in UTF-8 or UTF-16; separated by commas, semicolons, tabs, or as a line `sep=` says.
@@ -168,8 +173,16 @@ def read_answers(path: Path | str) -> list[Answer]:
 
 
 def _columns(path: Path | str, table: TextTable) -> dict[str, int]:
-    """Where each of our columns is."""
+    """Where each of our columns is; the log names the others."""
     found = [_OURS.get(column_key(name)) for name in table.columns]
+    unread = [k for k, name in enumerate(found) if name is None and column_key(table.columns[k]) != _PASSED_OVER]
+    for k in unread:
+        if column_key(table.columns[k]) in _COUNTS and any(row[k].strip() not in ("", "1") for _, row in table.rows):
+            said = f"a column {shown(table.columns[k])} that counts answers"
+            raise DataError(f"{path}: expected a row an answer, found {said}")
+    if unread:
+        said = f"{path}: columns that are not read: {', '.join(table.columns[k].strip() for k in unread)}"
+        logging.getLogger("torchbrdf").warning("torchbrdf: %s", one_line(said))
     where = {}
     for name, others in COLUMNS.items():
         places = [k for k, there in enumerate(found) if there == name]
