@@ -352,7 +352,7 @@ def test_positions_of_whole_numbers_are_what_they_stand_for(
     limits = np.iinfo(kind)
     numbers = np.zeros((3, 4), kind)  # rows padded to 4 bytes, or 8
     numbers[1:3, :2] = [[limits.max, 0], [0, limits.max]]
-    numbers[0, 2] = limits.min
+    numbers[:, 2] = limits.min, limits.max // 2, limits.max // 3  # unlike the other triangles
     (tmp_path / "b.bin").write_bytes(TRIANGLE + numbers.tobytes())
     whole = {"bufferView": 1, "componentType": code, "count": 3, "type": "VEC3", "normalized": normalized}
     rows = {"buffer": 0, "byteOffset": 36, "byteLength": numbers.nbytes, "byteStride": numbers.itemsize * 4}
