@@ -94,8 +94,10 @@ class Environment:
         """Environment of a name: "grove", "studio" (`torchbrdf.render.light.studio`), or a light probe's file.
 
         Raises:
-            DataError: The file is no picture of an environment.
+            DataError: The file is no picture of an environment, or the name is empty.
         """
+        if not name:
+            raise DataError("environment: expected grove, studio or a file, found ''")
         if name == "grove":
             return cls.default(rotation)
         return cls.from_image(make_studio(), rotation) if name == "studio" else cls.from_file(name, rotation)

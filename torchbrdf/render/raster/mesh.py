@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchbrdf.errors import ShapeError, one_line
+from torchbrdf.errors import DataError, ShapeError, one_line
 from torchbrdf.files import replacing
 from torchbrdf.render.raster.join import join
 from torchbrdf.render.raster.mesh_formats import read_parts
@@ -60,7 +60,8 @@ class Mesh:
         triangle refers to, faces without area and parts without faces are dropped; normals that are not of length 1
         are normalised; a closed mesh that is inside out is turned (of an open one that cannot be known, but both
         sides are drawn); and a vertex whose faces cancel takes the normal of one of them. Polygons become triangles.
-        Materials, textures, colours and smoothing groups are not read, nor bones.
+        Materials, textures, colours and smoothing groups are not read, nor bones. A glTF file whose triangles depend on
+        more than its buffers and nodes (extensions, sparse accessors, weighted morph targets) is refused.
 
         Raises:
             DataError: The file is of another kind, cannot be read, holds no triangle with an area or more than
@@ -127,8 +128,10 @@ def find_mesh(name: str) -> Mesh:
     """Mesh of a name: "blob", "sphere", or a file.
 
     Raises:
-        DataError: The file is no mesh.
+        DataError: The file is no mesh, or the name is empty.
     """
+    if not name:
+        raise DataError("mesh: expected blob, sphere or a file, found ''")
     made = {"blob": blob, "sphere": sphere}
     return made[name]() if name in made else Mesh.load(name)
 
