@@ -190,6 +190,26 @@ def test_a_daemonic_process_works_in_threads(two_threads):
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120, env=environment)
 
 
+def test_a_fork_of_a_process_that_has_fitted_fits():
+    code = """if True:
+        import multiprocessing, os, torch
+        from torchbrdf import fit, load
+        from torchbrdf.lobes import make_model
+        from torchbrdf.losses import CubeRootLoss
+        from torchbrdf.measured import standins
+
+        def error(_):
+            measured = load(standins()).batch([0, 1, 2])
+            return fit(make_model("ward", 1), measured, CubeRootLoss(), samples=500, max_theta=40).error
+
+        torch.set_num_threads(2)
+        here = error(0)
+        with multiprocessing.get_context("fork").Pool(1) as pool:
+            torch.testing.assert_close(pool.map_async(error, [0]).get(60)[0], here, rtol=1e-4, atol=0)
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, env={**os.environ, "OMP_NUM_THREADS": "2"})
+
+
 def test_a_script_without_a_guard_runs_once(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
+from functools import cache, partial
 from itertools import islice
 from types import TracebackType
 from typing import TypeVar
@@ -136,12 +137,20 @@ class _Crew:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(_StoppedError))
 
 
+@cache
+def _guard_forks() -> None:
+    """Have forks of this process work on one thread: torch's threads are not there, and it would wait for them."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
+
+
 def _in_threads(function: Callable[[Item], Result], items: Iterable[Item], waiting: int) -> Iterator[Result]:
     """As `thread_map`; no more than `waiting` items wait for a thread."""
     threads, crew, left = torch.get_num_threads(), _Crew(), enumerate(items)
     running: dict[Future[Result], int] = {}
     done: dict[int, Future[Result]] = {}
     following = 0
+    _guard_forks()
 
     def run(item: Item) -> Result:
         with crew, torch.no_grad():
