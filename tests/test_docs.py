@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import torchbrdf
-from torchbrdf.cli import build_parser
+from torchbrdf.cli.commands import build_parser
 from torchbrdf.registry import Registry
 
 ROOT = Path(__file__).resolve().parents[1]

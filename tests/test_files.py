@@ -6,6 +6,8 @@ import json
 import logging
 import math
 import os
+import socket
+import stat
 import subprocess
 import sys
 import threading
@@ -15,7 +17,18 @@ import pytest
 
 from torchbrdf import files
 from torchbrdf.errors import DataError
-from torchbrdf.files import csv_text, is_passing, locked, replacing, write_csv, write_json, write_text
+from torchbrdf.files import (
+    csv_text,
+    is_passing,
+    is_writing,
+    locked,
+    replacing,
+    writable,
+    writable_file,
+    write_csv,
+    write_json,
+    write_text,
+)
 from torchbrdf.progress import part_of
 
 
@@ -132,6 +145,84 @@ def test_what_living_processes_and_other_machines_write_stays_for_a_day(tmp_path
         assert living.exists()
     left = {one.name for one in tmp_path.iterdir()}
     assert left == {names["parent"], names["other"], names["somebody's"], "first.txt", "second.txt"}
+
+
+# --- what is there already ------------------------------------------------------------------------------------------
+
+
+def no_file(kind, path):
+    """Something at a path that is no regular file."""
+    if kind == "a FIFO":
+        os.mkfifo(path)
+    elif kind == "a folder":
+        path.mkdir()
+    elif kind == "a socket":
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(str(path))
+    else:
+        try:
+            os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 3))  # what /dev/null is
+        except PermissionError:
+            pytest.skip("only root makes devices")
+
+
+@pytest.mark.parametrize("through", ["itself", "a link"])
+@pytest.mark.parametrize("kind", ["a FIFO", "a folder", "a socket", "a device"])
+def test_what_is_no_file_is_not_replaced(tmp_path, monkeypatch, kind, through):
+    monkeypatch.chdir(tmp_path)  # a socket's name is short
+    path = tmp_path / "x.html"
+    no_file(kind, path.relative_to(tmp_path))
+    before = path.lstat()
+    if through == "a link":
+        path = tmp_path / "y.html"
+        path.symlink_to("x.html")
+    said = f"^{path}: expected a file or a new name, found {kind}$"
+    for write in (lambda: write_text(path, "new"), lambda: writable_file(path)):
+        with pytest.raises(DataError, match=said):
+            write()
+    after = (tmp_path / "x.html").lstat()
+    assert (after.st_mode, after.st_ino, after.st_rdev) == (before.st_mode, before.st_ino, before.st_rdev)
+    assert {one.name for one in tmp_path.iterdir()} == {"x.html", path.name}
+
+
+def test_a_folder_is_not_made_where_a_fifo_is(tmp_path):
+    os.mkfifo(tmp_path / "out")
+    with pytest.raises(DataError, match=r"out: expected a folder or a new name, found a FIFO$"):
+        writable(tmp_path / "out")
+
+
+@pytest.mark.parametrize("before", ["old", None])
+def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path, before):
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    target, link, second = tmp_path / "there" / "x.txt", tmp_path / "here" / "x.txt", tmp_path / "here" / "second.txt"
+    link.symlink_to("../there/x.txt")
+    second.symlink_to(link)
+    if before is not None:
+        target.write_text(before)
+    left = tmp_path / "there" / f".tmp-{files._machine()}-999999999-00000000.txt"
+    left.touch()  # by a process that is gone
+    with replacing(second) as temporary:
+        assert temporary.parent == target.parent.resolve() and temporary.suffix == ".txt" and is_writing()
+        temporary.write_text("new")
+        assert not target.exists() if before is None else target.read_text() == before
+    assert link.is_symlink() and second.is_symlink() and target.read_text() == "new" and not target.is_symlink()
+    assert [one.name for one in target.parent.iterdir()] == ["x.txt"] and not is_writing()
+
+
+def test_a_link_to_a_folder_that_is_not_there_makes_it(tmp_path):
+    (tmp_path / "out").symlink_to("far/away")
+    assert writable(tmp_path / "out") == tmp_path / "out"
+    (tmp_path / "x.txt").symlink_to("new/x.txt")
+    write_text(writable_file(tmp_path / "x.txt"), "new")
+    assert (tmp_path / "far" / "away").is_dir() and (tmp_path / "new" / "x.txt").read_text() == "new"
+
+
+def test_links_in_a_circle_are_said(tmp_path):
+    (tmp_path / "x.txt").symlink_to("x.txt")
+    with pytest.raises(DataError, match=r"x\.txt: cannot be written \(Too many levels of symbolic links\)"):
+        write_text(tmp_path / "x.txt", "new")
+    assert (tmp_path / "x.txt").is_symlink()
 
 
 # --- locks ----------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import os
 import platform
 import re
 import secrets
+import stat
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,7 +30,7 @@ _PATIENCE = 1.0
 LOCK = ".lock"
 """The file, in a folder, that whoever writes there holds locked."""
 
-_live: set[str] = set()  # temporary files of this process
+_live: set[str] = set()  # temporary files and locks of this process
 _swept: set[Path] = set()  # folders that it has looked for leftovers in
 
 
@@ -37,27 +38,68 @@ _swept: set[Path] = set()  # folders that it has looked for leftovers in
 def replacing(path: Path | str) -> Iterator[Path]:
     """A temporary path beside `path`, with its suffix, that takes its place when the block ends without an error.
 
-    No two writers have the same one. What processes that were killed have left in the folder is removed first.
+    No two writers have the same one. What processes that were killed have left in the folder is removed first. Where
+    `path` is a link, all of this is so for the file that it leads to, and the link stays.
 
     Raises:
-        DataError: It cannot be written, whatever the library that writes says of a full disk.
+        DataError: It is a device, a FIFO or a folder, or cannot be written, whatever the library that writes says of a
+            full disk.
     """
-    path = Path(path)
+    path, target = Path(path), destination(path)
     suffix = path.suffix if len(path.suffix) < 32 else ""
-    temporary = path.with_name(f".tmp-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
+    temporary = target.with_name(f".tmp-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
     _live.add(temporary.name)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(path.parent)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(target.parent)
         temporary.touch()
         yield temporary
-        temporary.replace(path)
+        temporary.replace(target)
     except (OSError, RuntimeError) as error:  # OpenEXR and torch have no other words for a full disk
         raise DataError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
     finally:
         _live.discard(temporary.name)
         with suppress(OSError):  # the folder is no folder, or gone
             temporary.unlink(missing_ok=True)
+
+
+def destination(path: Path | str) -> Path:
+    """Where a file of this name is written: itself, or where it leads to if it is a link, also to nothing yet.
+
+    Raises:
+        DataError: Something is there that is no regular file, such as a device, which a new file would replace.
+    """
+    path = Path(path)
+    _expect(path, stat.S_IFREG)
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+# What is at a path, for people.
+_KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def _expect(path: Path, kind: int) -> None:
+    """A DataError if something is at a path, or where it leads to, that is not of this kind."""
+    try:
+        found = stat.S_IFMT(path.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):  # a new name, or one that whoever writes finds to be none
+        return
+    except (OSError, ValueError) as error:  # links in a circle; a NUL
+        raise DataError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from None
+    if found != kind:
+        raise DataError(f"{path}: expected {_KINDS[kind]} or a new name, found {_KINDS.get(found, 'something else')}")
+
+
+def is_writing() -> bool:
+    """Whether this process has a temporary file or a lock, which it is to remove before it ends."""
+    return bool(_live)
 
 
 @cache
@@ -136,12 +178,15 @@ def locked(folder: Path | str, wait: float = 0.0) -> Iterator[None]:
         ) from None
     except OSError as error:
         raise DataError(f"{path}: cannot be locked ({error.strerror or error})") from None
+    held = str(path)
+    _live.add(held)
     try:
         yield
     finally:
         if os.name == "posix":  # those that wait see that it is gone, and make a new one
             path.unlink(missing_ok=True)
         lock.release()
+        _live.discard(held)
 
 
 def is_passing(path: Path) -> bool:
@@ -152,12 +197,21 @@ def is_passing(path: Path) -> bool:
 def writable(folder: Path | str) -> Path:
     """The folder, made if need be; a DataError now rather than after the work if nothing can be written there."""
     folder = Path(folder)
+    _expect(folder, stat.S_IFDIR)
     try:
+        if folder.is_symlink():  # also to a folder that is still to be made
+            Path(os.path.realpath(folder)).mkdir(parents=True, exist_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError as error:
         raise DataError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
+def writable_file(path: Path | str) -> Path:
+    """The path; a DataError now rather than after the work if no file can be written there."""
+    writable(destination(path).parent)
+    return Path(path)
 
 
 def write_text(path: Path | str, text: str) -> None:

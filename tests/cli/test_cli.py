@@ -2,14 +2,17 @@
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
 
 import pytest
 
-from torchbrdf.cli import build_parser, main
+from torchbrdf.cli import main
+from torchbrdf.cli.commands import build_parser
 from torchbrdf.cli.common import number
+from torchbrdf.lobes import read_fits
 
 
 def test_fit_prints_and_writes(paint, tmp_path, capsys):
@@ -134,6 +137,41 @@ def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, sai
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and printed.err.startswith("torchbrdf: ")
     assert re.search(said, printed.err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fifo"),
+    [
+        (["view", "nowhere.binary", "--out", "OUT"], "out"),
+        (["view", "nowhere.binary", "--out", "OUT/view.html"], "out/view.html"),
+        (["fit", "nowhere.binary", "--out", "OUT"], "out"),
+        (["fit", "nowhere.binary", "--out", "OUT"], "out/fits.json"),
+        (["fit", "nowhere.binary", "--out", "OUT"], "out/fits.csv"),
+        (["render", "nowhere.binary", "--out", "OUT"], "out"),
+        (["render", "nowhere.binary", "--out", "OUT"], "out/sheet.png"),
+        (["render", "nowhere.binary", "--out", "OUT"], "out/tonemap.json"),
+        (["run", "fores2012", "--out", "OUT"], "out"),
+    ],
+)
+def test_what_is_no_file_is_not_written_over_and_that_is_said_before_there_is_work(tmp_path, capsys, arguments, fifo):
+    path = tmp_path / fifo
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+    assert main([a.replace("OUT", str(tmp_path / "out")) for a in arguments]) == 1
+    kind = "a folder" if arguments[0] != "view" and fifo == "out" else "a file"
+    assert capsys.readouterr().err == f"torchbrdf: {path}: expected {kind} or a new name, found a FIFO\n"
+    assert path.is_fifo() and not list(tmp_path.glob("**/.*"))
+
+
+def test_fits_that_are_links_are_written_where_they_lead(paint, tmp_path, capsys):
+    out, there = tmp_path / "out", tmp_path / "there"
+    out.mkdir()
+    for name in ("fits.json", "fits.csv"):
+        (out / name).symlink_to(there / name)
+    assert main(["fit", str(paint), "--samples", "200", "--lobes", "1", "--out", str(out)]) == 0
+    assert {path.name: path.is_symlink() for path in out.iterdir()} == {"fits.json": True, "fits.csv": True}
+    assert {path.name: path.is_symlink() for path in there.iterdir()} == {"fits.json": False, "fits.csv": False}
+    assert read_fits(there / "fits.json")[0].material == "paint"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import psutil
 import pytest
@@ -111,3 +112,71 @@ def test_a_call_that_hears_no_signal_is_ended_all_the_same():
     process.terminate()
     assert process.wait(20) in (143, 1)
     assert time.monotonic() - began < 15
+
+
+# --- while modules are imported -------------------------------------------------------------------------------------
+
+SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
+
+
+def start_listening(*arguments):
+    """A command that has just begun to hear signals, and has torch and the like still to import."""
+    own = "import signal; signal.signal(2, signal.default_int_handler); signal.signal(1, signal.SIG_DFL)"
+    code = f"{own}; import sys; from torchbrdf.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 60
+    while not hears(process.pid, signal.SIGTERM):
+        assert process.poll() is None and time.monotonic() < until
+        time.sleep(0.002)
+    return process
+
+
+def hears(pid, number):
+    status = Path(f"/proc/{pid}/status").read_text()
+    (caught,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt:"))
+    return bool(int(caught, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc to see that signals are heard")
+@pytest.mark.parametrize(
+    "delays",
+    [(0, 0.15, 0.4), pytest.param([k * 0.02 for k in range(40)], marks=pytest.mark.slow)],
+    ids=["few", "many"],
+)
+def test_a_signal_while_modules_are_imported_ends_it_as_later(tmp_path, delays):
+    for k, delay in enumerate(delays):
+        number = SIGNALS[k % 3]
+        process = start_listening("fit", standins(), "--samples", "all", "--out", tmp_path / "out")
+        time.sleep(delay)
+        said, _ = end(process, number)
+        assert (process.returncode, said) == (128 + number, "torchbrdf: stopped\n"), delay
+
+
+IMPORTING = """if True:
+    import sys, time
+    from torchbrdf.cli.signals import EndedError, ending
+    from torchbrdf.files import locked, replacing
+    sys.path.insert(0, sys.argv[1])
+    try:
+        with ending(None), locked(sys.argv[2]), replacing(sys.argv[2] + "/x.txt") as temporary:
+            temporary.write_text("half")
+            import slow_module
+            time.sleep(10)
+            raise SystemExit("no signal was heard")
+    except EndedError as error:
+        import slow_module
+        print("ended by", error.number, "after", slow_module.done)
+"""
+
+
+def test_a_signal_while_something_is_imported_and_written_waits_for_the_import(tmp_path):
+    """Half a module would stay, or the temporary file."""
+    (tmp_path / "slow_module.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(0.3)\ndone = 'all'\n"
+    )
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", IMPORTING, str(tmp_path), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("ended by 15 after all\n", "")
+    assert not list(out.iterdir())

@@ -1,6 +1,7 @@
 """`torchbrdf study`: experiments that users add, simulate and scale."""
 
 import csv
+import os
 from collections import Counter
 
 import pytest
@@ -8,6 +9,7 @@ from helpers.simulated_plan import make_plan, wards
 
 from torchbrdf.cli import main
 from torchbrdf.study import MEASURED, Answer, Plan, read_answers, write_answers
+from torchbrdf.study.store import STORE, Store
 
 
 def test_anybodys_comparisons_can_be_scaled(tmp_path, capsys):
@@ -50,6 +52,26 @@ def test_a_user_adds_an_experiment_simulates_and_scales_it(run, capsys):
     printed = capsys.readouterr().out
     assert "simulated observers: not people" in printed and "6 observers, 36 answers" in printed
     assert "confused with the measured one" in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fifo"),
+    [
+        (["simulate", "RUN", "--observers", "1000000", "--out", "FIFO"], "x.csv"),
+        (["export", "RUN"], "answers.csv"),
+        (["export", "RUN", "--out", "RUN/x.csv"], "x-observers.json"),
+        (["scale", "RUN", "--out", "RUN"], "scales.html"),
+        (["scale", "RUN", "--out", "RUN"], "scales.csv"),
+    ],
+)
+def test_what_is_no_file_is_not_written_over(run, capsys, arguments, fifo):
+    Store(run / STORE, Plan.load(run)).close()
+    path = run / fifo
+    os.mkfifo(path)
+    before = set(run.iterdir())
+    assert main(["study", *(a.replace("RUN", str(run)).replace("FIFO", str(path)) for a in arguments)]) == 1
+    assert capsys.readouterr().err == f"torchbrdf: {path}: expected a file or a new name, found a FIFO\n"
+    assert path.is_fifo() and set(run.iterdir()) == before
 
 
 def test_pairs_can_be_chosen(run, capsys):

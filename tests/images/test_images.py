@@ -74,7 +74,7 @@ def test_a_folder_that_may_not_be_written_to(tmp_path: Path) -> None:
 @pytest.mark.parametrize("write", [write_exr, write_png])
 def test_writing_where_a_folder_is(tmp_path: Path, write) -> None:
     (tmp_path / "picture").mkdir()
-    with pytest.raises(DataError, match="cannot be written"):
+    with pytest.raises(DataError, match="expected a file or a new name, found a folder"):
         write(tmp_path / "picture", torch.zeros(2, 2, 3))
     assert [p.name for p in tmp_path.iterdir()] == ["picture"]
     with pytest.raises(ShapeError):

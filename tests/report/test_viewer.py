@@ -159,8 +159,8 @@ def test_one_bad_file_leaves_the_others(folder, tmp_path, capsys, monkeypatch):
         ([""], 1, "found an empty one"),
         (["FITS", "--shape", "cube"], 1, "cube"),
         (["FITS", "--environment", "nowhere.hdr"], 1, "nowhere.hdr"),
-        (["FITS", "--out", "FITS/view.html"], 1, "cannot be written"),
-        (["FITS", "--out", "FOLDER"], 1, "expected a file to write, found a folder"),
+        (["FITS", "--out", "FITS/view.html"], 1, "expected a folder or a new name, found a file"),
+        (["FITS", "--out", "FOLDER"], 1, "expected a file or a new name, found a folder"),
     ],
 )
 def test_bad_usage_gets_one_line(folder, tmp_path, capsys, monkeypatch, arguments, status, said):

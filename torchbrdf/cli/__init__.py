@@ -1,53 +1,25 @@
 """The command line, `torchbrdf run | fit | ...`. A command is a file here: `add` to the parser, and `command`."""
 
 import atexit
-import io
 import os
 import signal
 import sys
-import warnings
 from collections.abc import Sequence
 
-from torchbrdf import __version__
-from torchbrdf.cli import fit, info, render, run, study, view
-from torchbrdf.cli.common import Parser, described
-from torchbrdf.cli.signals import GRACE, EndedError, ending
-from torchbrdf.errors import TorchbrdfError, UsageError, one_line
-
-DESCRIPTION = """\
-Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
-
-  torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
-  torchbrdf fit nickel.binary --model ward      one fit, printed
-  torchbrdf render nickel.binary                a picture of a measured material, or of fits
-  torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
-  torchbrdf info nickel.binary                  what a file holds
-  torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
-"""
-
-COMMANDS = (run, fit, render, view, info, study)
+from torchbrdf.cli.signals import EndedError, ending
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; the exit status is 0, 1 (data or a run failed), 2 (usage), or 128 and the number of a signal."""
-    # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
-    os.environ.setdefault("GOMP_SPINCOUNT", "3000")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal that knows only ASCII; a path that is no UTF-8
-            stream.reconfigure(errors="backslashreplace")
-    options = build_parser().parse_args(arguments)
-    warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
     try:
-        # A server ends its answers first, and says how many there are.
-        with ending(None if options.command.__module__ == study.__name__ else GRACE):
-            return int(options.command(options))
-    except UsageError as error:
-        print(f"torchbrdf: {error}", file=sys.stderr)
-        return 2
-    except (TorchbrdfError, OSError) as error:
-        print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
-        return 1
+        with ending(None):
+            # Here, so that a signal before the commands are imported ends it well, too.
+            from torchbrdf.cli.commands import build_parser, make_streams_safe, perform
+
+            make_streams_safe()
+            return perform(build_parser().parse_args(arguments))
     except EndedError as error:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # another ends it at once, as the others do
         print("torchbrdf: stopped", file=sys.stderr)
         sys.stdout.flush()
         # All is closed but what libraries registered; to take torch apart takes seconds on a busy machine.
@@ -56,13 +28,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:  # of a caller, who is no signal
         print("torchbrdf: stopped", file=sys.stderr)
         return 128 + signal.SIGINT
-
-
-def build_parser() -> Parser:
-    """The parser of the whole command line."""
-    parser = described(Parser(prog="torchbrdf"), DESCRIPTION)
-    parser.add_argument("--version", action="version", version=f"torchbrdf {__version__}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command.add(commands)
-    return parser

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from torchbrdf.lobes import FitRecord
     from torchbrdf.losses import Loss
 
-FITS = "fits.json"
+FITS, TABLE = "fits.json", "fits.csv"
 RENDERED = "rendered"
 # The options that only a rendered loss has, and what they are if they are not given.
 OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob", "size": 128, "lights": 1024}
@@ -66,7 +66,7 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
-    from torchbrdf.files import writable
+    from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
     from torchbrdf.lobes import make_model, read_fits
@@ -78,8 +78,11 @@ def command(options: Options) -> int:
     _check_loss(options)
     out = writable(options.out) if options.out else None
     # All files first: what is wrong with one is said before there is any work.
-    if out is not None and (out / FITS).exists():
-        read_fits(out / FITS)
+    if out is not None:
+        for name in (FITS, TABLE):
+            destination(out / name)
+        if (out / FITS).exists():
+            read_fits(out / FITS)
     groups, complete = load_files(options.files)
     if not groups:
         return 1

@@ -40,11 +40,13 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf render`."""
-    from torchbrdf.files import writable
+    from torchbrdf.files import destination, writable
     from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light
-    from torchbrdf.report.sheet import draw_groups
+    from torchbrdf.report.sheet import SHEET, TONE_MAP, draw_groups
 
     out = writable(options.out)
+    for name in (f"{SHEET}.png", f"{TONE_MAP}.json"):
+        destination(out / name)
     if options.environment == "none" and not options.lamp:
         raise UsageError("render: expected an environment or a lamp, found neither")
     light = None if options.environment == "none" else Environment.find(options.environment)

@@ -188,10 +188,12 @@ def add_command(options: Options) -> int:
 
 def simulate_command(options: Options) -> int:
     """`torchbrdf study simulate`."""
+    from torchbrdf.files import writable_file
     from torchbrdf.study import simulate, write_answers
     from torchbrdf.study.simulation import NOISE
 
     plan, name = _experiment(options)
+    writable_file(options.out)
     noise = NOISE if options.noise is None else options.noise
     progress = progress_bar("observers")
     answers = simulate(plan, plan.experiment(name), options.observers, noise, options.seed, progress)
@@ -203,14 +205,16 @@ def simulate_command(options: Options) -> int:
 
 def export_command(options: Options) -> int:
     """`torchbrdf study export`."""
-    from torchbrdf.files import write_json
+    from torchbrdf.files import writable_file, write_json
     from torchbrdf.study import write_answers
 
-    with _store_of(Path(options.run)) as store:
-        answers, profiles = store.answers(), store.profiles()
     out = Path(options.out) if options.out else Path(options.run) / "answers.csv"
-    write_answers(out, answers)
     observers = out.with_name(f"{out.stem}-observers.json")
+    with _store_of(Path(options.run)) as store:
+        for path in (out, observers):
+            writable_file(path)
+        answers, profiles = store.answers(), store.profiles()
+    write_answers(out, answers)
     write_json(observers, profiles)
     print(f"{len(answers)} answers of {len(profiles)} observers; what they said of themselves and their screens")
     print(out)
@@ -220,9 +224,9 @@ def export_command(options: Options) -> int:
 
 def scale_command(options: Options) -> int:
     """`torchbrdf study scale`."""
-    from torchbrdf.files import writable
+    from torchbrdf.files import destination, writable
     from torchbrdf.reading import exists
-    from torchbrdf.report.observers import write_scales
+    from torchbrdf.report.observers import FILES, write_scales
     from torchbrdf.study import Plan, read_answers
     from torchbrdf.study.plan import PLAN
 
@@ -236,6 +240,8 @@ def scale_command(options: Options) -> int:
         answers = read_answers(source)
     plan = Plan.load(folder) if exists(folder / PLAN) else None
     out = writable(Path(options.out) if options.out else folder / "scales")
+    for name in FILES:
+        destination(out / name)
     settings = {"method": options.method, "seed": options.seed, "source": source.name}
     for line in write_scales(out, answers, plan, **settings, progress=progress_bar("draws")):
         print(line)

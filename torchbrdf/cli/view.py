@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf view`."""
-    from torchbrdf.files import writable
+    from torchbrdf.files import writable_file
     from torchbrdf.measured.load import number_repeats
     from torchbrdf.names import clean_name
     from torchbrdf.render import Environment, find_mesh
@@ -43,8 +43,7 @@ def command(options: Options) -> int:
 
     if "none" in options.environment:
         raise UsageError("view: expected light probes, found none; without light a picture is black")
-    out = Path(options.out)
-    writable(out.parent)
+    out = writable_file(options.out)
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
     names = number_repeats([clean_name(Path(name).stem) for name in options.environment], " #")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
-from torchbrdf.files import locked, write_text
+from torchbrdf.files import destination, locked, write_text
 from torchbrdf.fitting.api import fit
 from torchbrdf.fitting.result import fits_csv
 from torchbrdf.fitting.strategy import strategy_name
@@ -110,14 +110,15 @@ class Batches:
         """Write records beside what the folder holds by now: other processes may have added theirs."""
         if self.out is None:
             return
-        with locked(self.out, wait=LOCK_WAIT):
+        # Where fits.json is a link, others may know its folder by another name.
+        with locked(destination(self.out / FITS).parent, wait=LOCK_WAIT):
             there = self._read()
             new = {record.material: record for record in records if record.material not in _done(there)}
             self.stored = there | {name: one for name, one in self.stored.items() if name not in there} | new
             kept = list(self.stored.values())
             if new:
                 write_fits(self.out / FITS, kept)
-            table, text = self.out / "fits.csv", fits_csv(kept)
+            table, text = destination(self.out / "fits.csv"), fits_csv(kept)
             # It is missing, or an old one, where a process was killed before it wrote it.
             if kept and not (table.exists() and table.read_bytes() == text.encode()):
                 write_text(table, text)

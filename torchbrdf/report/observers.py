@@ -19,6 +19,7 @@ from torchbrdf.report.scale_figures import MOST_LINES, scales_figure
 from torchbrdf.report.tables import Column, Table, table
 from torchbrdf.study import MEASURED, Answer, Plan, simulated
 
+FILES = ("scales.csv", "scales.json", "observers.csv", "scales.html")  # beside figures/
 SIMULATED_MARK = "simulated observers: not people"
 POOR = 0.01
 

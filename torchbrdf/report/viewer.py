@@ -11,9 +11,9 @@ from typing import Any
 from PIL import Image
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
-from torchbrdf.files import write_text
+from torchbrdf.files import destination, write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes
 from torchbrdf.measured import Measured
 from torchbrdf.progress import Progress, quiet
@@ -43,11 +43,10 @@ def write_viewer(
     those from the material of the same name; measured, if there is one, else its stand-in. `progress` is told
     of each of the `steps * len(lights)` scenes. A UsageError or DataError says what cannot be shown.
     """
+    destination(path)
     path = Path(path)
     if steps < 1:
         raise UsageError(f"steps: expected at least 1, found {steps}")
-    if path.is_dir():
-        raise DataError(f"{path}: expected a file to write, found a folder")
     items = list_items(groups)
     if not items or not lights:
         raise UsageError(f"viewer: expected materials and lights, found {len(items)} and {len(lights)}")

@@ -1,0 +1,61 @@
+"""The commands: their parser, and how what they raise is said."""
+
+import io
+import os
+import sys
+import warnings
+from contextlib import nullcontext
+
+from torchbrdf import __version__
+from torchbrdf.cli import fit, info, render, run, study, view
+from torchbrdf.cli.common import Options, Parser, described
+from torchbrdf.cli.signals import GRACE, ending
+from torchbrdf.errors import TorchbrdfError, UsageError, one_line
+
+DESCRIPTION = """\
+Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
+
+  torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
+  torchbrdf fit nickel.binary --model ward      one fit, printed
+  torchbrdf render nickel.binary                a picture of a measured material, or of fits
+  torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
+  torchbrdf info nickel.binary                  what a file holds
+  torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
+"""
+
+COMMANDS = (run, fit, render, view, info, study)
+
+
+def build_parser() -> Parser:
+    """The parser of the whole command line."""
+    parser = described(Parser(prog="torchbrdf"), DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"torchbrdf {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add(commands)
+    return parser
+
+
+def perform(options: Options) -> int:
+    """Do a command; its exit status, whatever it raises on purpose."""
+    # Before torch is imported: threads that spin for long while they wait make a busy machine crawl.
+    os.environ.setdefault("GOMP_SPINCOUNT", "3000")
+    warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
+    # A server ends its answers first, and says how many there are.
+    patient = options.command.__module__ == study.__name__
+    try:
+        with nullcontext() if patient else ending(GRACE):
+            return int(options.command(options))
+    except UsageError as error:
+        print(f"torchbrdf: {error}", file=sys.stderr)
+        return 2
+    except (TorchbrdfError, OSError) as error:
+        print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
+        return 1
+
+
+def make_streams_safe() -> None:
+    """Escapes for what the terminal cannot show: one that knows only ASCII, or a path that is no UTF-8."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
