@@ -41,14 +41,28 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
         >>> one_line("red\x1b[31m\n  next line"), one_line("0123456789", 8)
         ('red\\x1b[31m next line', '01 ... 9')
     """
-    line = " ".join(text.split())
-    if not line.isprintable():
-        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    line = printable(" ".join(text.split()))
     if len(line) <= longest:
         return line
     # The start says where, the end what was found.
     tail = (longest - 5) // 3
     return f"{line[: longest - 5 - tail]} ... {line[len(line) - tail :]}"
+
+
+def printable(text: str) -> str:
+    r"""Text with escapes in the place of characters that are not to be seen.
+
+    Args:
+        text: Anything.
+
+    Example:
+        >>> from torchbrdf.errors import printable
+        >>> printable("red\x1b[31m")
+        'red\\x1b[31m'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def shown(value: object, longest: int = 60) -> str:

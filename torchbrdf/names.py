@@ -1,4 +1,4 @@
-"""Names of materials and stimuli: what may be one, and how it is written into paths and pictures."""
+"""Names of materials and stimuli: what may be one, and how it is written into paths."""
 
 import hashlib
 import re
@@ -76,17 +76,6 @@ def file_stem(name: str) -> str:
     if plain == name and not reserved:
         return name
     return f"{plain}-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
-
-
-def math_text(name: str) -> str:
-    r"""A name as matplotlib is to draw it: a dollar sign is one, and begins no formula.
-
-    Example:
-        >>> from torchbrdf.names import math_text
-        >>> math_text("gold $paint$")
-        'gold \\$paint\\$'
-    """
-    return name.replace("$", r"\$")
 
 
 def is_one_line(text: str) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from torchbrdf import bounds
-from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, shown
+from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, printable, shown
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
@@ -126,18 +126,6 @@ def say(*texts: object, to: TextIO | None = None) -> None:
     """Print lines; what a terminal would take for a command, such as in the name of a file, is written out."""
     for text in texts:
         print(printable(str(text)), file=to)
-
-
-def printable(text: str) -> str:
-    r"""Text with escapes in the place of characters that are not to be seen.
-
-    Example:
-        >>> printable("red\x1b[31m")
-        'red\\x1b[31m'
-    """
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def short(value: object) -> str:
