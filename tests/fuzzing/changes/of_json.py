@@ -60,7 +60,7 @@ def text(source: Random, data: bytes) -> bytes:
 def key(source: Random, data: bytes) -> bytes:
     """A key is gone, called otherwise, comes twice, or is new."""
     found = parsed(data)
-    objects = [one for one in [found, *(holder[key] for holder, key in _walk(found))] if isinstance(one, dict) and one]
+    objects = _filled(found, dict)
     if not objects:
         raise ValueError("no object")
     holder = source.choice(objects)
@@ -83,7 +83,7 @@ def key(source: Random, data: bytes) -> bytes:
 def items(source: Random, data: bytes) -> bytes:
     """A list is shorter, longer, empty, in another order, or holds something twice."""
     found = parsed(data)
-    lists = [one for one in [found, *(holder[key] for holder, key in _walk(found))] if isinstance(one, list) and one]
+    lists = _filled(found, list)
     if not lists:
         raise ValueError("no list")
     chosen = source.choice(lists)
@@ -126,6 +126,11 @@ def dumped(source: Random, found: Any) -> bytes:
 
 def _odd_text(source: Random) -> str:
     return source.choice(NUMBERS)
+
+
+def _filled(found: Any, kind: type) -> list[Any]:
+    """All objects, or lists, in a value that hold something."""
+    return [one for one in [found, *(holder[key] for holder, key in _walk(found))] if isinstance(one, kind) and one]
 
 
 def _walk(found: Any) -> Iterator[tuple[Any, Any]]:
