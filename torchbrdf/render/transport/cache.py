@@ -69,6 +69,8 @@ def _kept(path: Path, rows: int, blocks: int) -> Made | None:
         found = _read(path, rows, blocks)
     except DataError as error:
         _log.warning("torchbrdf: %s; made anew", error)
+        with suppress(OSError):  # a FIFO or a link is not to be written into; a folder stays, and nothing is kept
+            path.unlink()
         return None
     with suppress(OSError):  # the file of another user is not ours to mark as used
         os.utime(path)
