@@ -59,6 +59,8 @@ class CubeRootLoss(Loss):
         if self.eps == 0:
             return safe_power(difference.square(), 1 / 3)
         root = self.eps ** (1 / 3)
+        if not difference.requires_grad:
+            return difference.square().add_(self.eps).pow_(1 / 3).sub_(root).clamp_min_(0)
         # Near 0 in units of the cusp, where the second derivative of the power would overflow in float32.
         near = difference.abs() < 1e6 * self.eps**0.5
         square = torch.where(near, difference * self.eps**-0.5, difference).square()
