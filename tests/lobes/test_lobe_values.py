@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import from_half_diff
+from helpers.exact_lobes import EXACT, Geometry, decades
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from mpmath import mpf
@@ -19,134 +20,20 @@ from torchbrdf.lobes import (
     LOBES,
     abc,
     ashikhmin_shirley,
+    beckmann,
     blinn_phong,
     cook_torrance,
     dielectric,
     distribution_based,
+    ggx,
+    gtr,
     lambert,
     schlick,
     shifted_gamma,
     ward,
+    ward_duer,
 )
 from torchbrdf.pairs import Pairs
-
-Vector = list[mpf]
-
-
-class Geometry:
-    """The quantities of eq. 2 to 7 from the directions themselves, without angles."""
-
-    def __init__(self, wi: Vector, wo: Vector) -> None:
-        half = [a + b for a, b in zip(wi, wo, strict=True)]
-        length = mpmath.sqrt(sum(x * x for x in half))
-        self.half = [x / length for x in half]
-        self.n_i, self.n_o, self.n_h = wi[2], wo[2], self.half[2]
-        self.o_h = sum(a * b for a, b in zip(wo, self.half, strict=True))
-        self.delta = mpmath.atan2(mpmath.sqrt(self.half[0] ** 2 + self.half[1] ** 2), self.n_h)
-
-
-def fresnel(g: Geometry, f0: mpf) -> mpf:
-    return f0 + (1 - f0) * (1 - g.o_h) ** 5
-
-
-def masking(g: Geometry) -> mpf:
-    return min(mpf(1), 2 * g.n_h * g.n_o / g.o_h, 2 * g.n_h * g.n_i / g.o_h)
-
-
-def exact_lambert(g: Geometry, albedo: mpf) -> mpf:
-    return albedo / mpmath.pi
-
-
-def exact_ward(g: Geometry, specular: mpf, alpha: mpf) -> mpf:
-    lobe = mpmath.exp(-(mpmath.tan(g.delta) ** 2) / alpha**2) / (4 * mpmath.pi * alpha**2)
-    return specular * lobe / mpmath.sqrt(g.n_i * g.n_o)
-
-
-def exact_cook_torrance(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
-    d = mpmath.exp(-((mpmath.tan(g.delta) / m) ** 2)) / (m**2 * mpmath.cos(g.delta) ** 4)
-    return specular / mpmath.pi * d * masking(g) / (g.n_i * g.n_o) * fresnel(g, f0)
-
-
-def exact_ashikhmin_shirley(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
-    lobe = (m + 1) / (8 * mpmath.pi) * g.n_h**m / (g.o_h * max(g.n_i, g.n_o))
-    return specular * lobe * fresnel(g, f0)
-
-
-def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> mpf:
-    nodes = [((k + mpf(1) / 2) / len(distribution)) ** 2 * mpmath.pi / 2 for k in range(len(distribution))]
-    above = next((k for k, node in enumerate(nodes) if node > g.delta), len(nodes))
-    if above in (0, len(nodes)):
-        table = distribution[0 if above == 0 else -1]
-    else:  # linear in the index, which is linear in sqrt(theta_h)
-        low, high = mpmath.sqrt(nodes[above - 1]), mpmath.sqrt(nodes[above])
-        share = (mpmath.sqrt(g.delta) - low) / (high - low)
-        table = distribution[above - 1] * (1 - share) + distribution[above] * share
-    return table * masking(g) * fresnel(g, f0) / (4 * g.n_i * g.n_o)
-
-
-def exact_blinn_phong(g: Geometry, specular: mpf, n: mpf) -> mpf:
-    return specular * (n + 2) / (2 * mpmath.pi) * g.n_h**n
-
-
-def exact_dielectric(cosine: mpf, ior: mpf) -> mpf:
-    """Fresnel's equations for the two polarizations, with the refracted direction of Snell's law."""
-    refracted = mpmath.sqrt(1 - (1 - cosine**2) / ior**2)
-    across = (cosine - ior * refracted) / (cosine + ior * refracted)
-    along = (ior * cosine - refracted) / (ior * cosine + refracted)
-    return (across**2 + along**2) / 2
-
-
-def exact_abc(g: Geometry, a: mpf, b: mpf, c: mpf, ior: mpf) -> mpf:
-    d = a / (1 + b * (1 - g.n_h)) ** c
-    return d * masking(g) * exact_dielectric(g.o_h, ior) / (mpmath.pi * g.n_i * g.n_o)
-
-
-def exact_shifted_gamma(
-    g: Geometry, specular: mpf, alpha: mpf, p: mpf, k: mpf, f0: mpf, f1: mpf, *shadowing: mpf
-) -> mpf:
-    depth, reach, power, onset = shadowing
-    c = reach**-power
-
-    def lit(cosine: mpf) -> mpf:
-        above = max(mpf(0), mpmath.acos(cosine) - onset)
-        value = max(mpf(0), 1 + depth * (1 - mpmath.exp(c * above**power)))
-        assume(value == 0 or value > 0.2)  # a difference of equals has no digits
-        return value
-
-    argument = alpha + mpmath.tan(g.delta) ** 2 / alpha
-    d = k * mpmath.exp(-argument) / argument**p / (mpmath.pi * g.n_h**4)
-    reflected = fresnel(g, f0) - f1 * g.o_h
-    assume(abs(reflected) > 0.05)
-    return specular * d * max(mpf(0), reflected) * lit(g.n_i) * lit(g.n_o) / (mpmath.pi * g.n_i * g.n_o)
-
-
-unit = st.floats(0, 1)
-f0s = st.floats(0.02, 1)
-table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
-
-
-def decades(lower: float, upper: float) -> st.SearchStrategy[float]:
-    return st.floats(math.log(lower), math.log(upper)).map(lambda x: min(max(math.exp(x), lower), upper))
-
-
-# For each registered lobe: its formula, and values of its parameters over the whole of the bounds.
-EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
-    "lambert": (exact_lambert, [unit]),
-    "ward": (exact_ward, [unit, decades(0.001, 0.5)]),
-    "cook_torrance": (exact_cook_torrance, [unit, decades(0.001, 1), f0s]),
-    "ashikhmin_shirley": (exact_ashikhmin_shirley, [unit, decades(0.001, 50000), f0s]),
-    "distribution_based": (exact_distribution_based, [table, f0s]),
-    "blinn_phong": (exact_blinn_phong, [unit, decades(0.001, 200_000)]),
-    "abc": (exact_abc, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
-    "shifted_gamma": (
-        exact_shifted_gamma,
-        [
-            *[unit, decades(1e-5, 1), st.floats(0, 2), decades(1, 1e5), st.floats(0, 10), st.floats(-1, 8)],
-            # Steeper and deeper shadows magnify the rounding of the angle itself; test_published.py has those.
-            *[decades(0.1, 30), decades(0.3, 2.5), decades(1, 50), st.floats(-0.7, 1.25)],
-        ],
-    ),
-}
 
 
 def test_every_lobe_has_a_formula_here() -> None:
@@ -390,3 +277,83 @@ def test_diffuse_of_mitsuba() -> None:
     peer = bsdf.eval(mi.BSDFContext(), interaction, [0, math.sin(1.1), math.cos(1.1)])
     for value, albedo in zip(list(peer), (0.2, 0.5, 0.8), strict=True):
         assert evaluate(lambert, 0.4, 1.1, math.pi / 2, albedo) * math.cos(1.1) == pytest.approx(value, rel=1e-5)
+
+
+def d_cosine(function: Callable[..., torch.Tensor], visible: Callable[[float], float], *values: float) -> float:
+    """The integral of D cos_h over half vectors, of a lobe whose G / (4 cos_i cos_o) is known where wi = wo = h."""
+
+    def integrand(tangent: float) -> float:
+        theta = math.atan(tangent)
+        cos = math.cos(theta)
+        d = evaluate(function, theta, theta, 0.0, 1.0, *values) / visible(cos)
+        return 2 * math.pi * d * cos * math.sin(theta) * cos**2
+
+    edges = [0, *(values[0] * 10.0**k for k in range(-1, 8))]
+    return sum(integrate.quad(integrand, a, b, epsrel=1e-9)[0] for a, b in pairwise(edges))
+
+
+@pytest.mark.parametrize("roughness", [0.01, 0.1, 0.5, 1.0])
+def test_ggx_and_its_kin_are_normalized(roughness: float) -> None:
+    def of_ggx(cos: float) -> float:
+        return 0.25 / (cos * math.sqrt(roughness**2 + (1 - roughness**2) * cos**2))
+
+    def of_beckmann(cos: float) -> float:
+        tangent = math.sqrt(1 - cos**2) / cos
+        if tangent < 1e-9:
+            return 0.25 / cos**2
+        v = 1 / (roughness * tangent)
+        twice = math.exp(-(v**2)) / (v * math.sqrt(math.pi)) - math.erfc(v)
+        return 0.25 / (cos**2 * (1 + twice))
+
+    assert d_cosine(ggx, of_ggx, roughness, 1.0) == pytest.approx(1, rel=1e-6)
+    assert d_cosine(beckmann, of_beckmann, roughness, 1.0) == pytest.approx(1, rel=1e-6)
+    for exponent in (1.0, 1.5, 2.0, 5.0):
+        assert d_cosine(gtr, of_ggx, roughness, exponent, 1.0) == pytest.approx(1, rel=1e-4)
+
+
+def test_gtr_of_exponent_2_is_ggx() -> None:
+    pairs = Pairs.from_half_diff(*torch.rand(3, 500, dtype=torch.float64, generator=torch.Generator().manual_seed(0)))
+    colour, f0 = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64), torch.tensor([0.3], dtype=torch.float64)
+    for roughness in torch.tensor([[0.001], [0.1], [1.0]], dtype=torch.float64):
+        expected = ggx(pairs, colour, roughness, f0)
+        torch.testing.assert_close(gtr(pairs, colour, roughness, 2 * f0 / f0, f0), expected, rtol=1e-11, atol=0)
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, 1.0, 1.4, 1.55])
+def test_ward_duer_never_reflects_more_than_its_albedo(theta: float) -> None:
+    """Where Ward's own lobe reflects more and more towards grazing directions."""
+    cos_o, phi = torch.meshgrid(
+        (torch.arange(800, dtype=torch.float64) + 0.5) / 800,
+        (torch.arange(800, dtype=torch.float64) + 0.5) / 800 * math.pi,
+        indexing="ij",
+    )
+    sin_o = (1 - cos_o.square()).sqrt()
+    wo = torch.stack([sin_o * phi.cos(), sin_o * phi.sin(), cos_o], -1).reshape(-1, 3)
+    wi = torch.tensor([[math.sin(theta), 0.0, math.cos(theta)]], dtype=torch.float64).expand_as(wo)
+    pairs, one = Pairs.from_directions(wi, wo), torch.ones(1, dtype=torch.float64)
+    share = (ward_duer(pairs, one, 0.2 * one)[:, 0] * wo[:, 2]).mean().item() * 2 * math.pi
+    assert 0.5 < share < 1.005
+    if theta == 0:
+        assert share == pytest.approx(
+            (ward(pairs, one, 0.2 * one)[:, 0] * wo[:, 2]).mean().item() * 2 * math.pi, rel=0.2
+        )
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize(("name", "function"), [("GGX", ggx), ("Beckmann", beckmann)])
+def test_distributions_of_mitsuba(name: str, function: Callable[..., torch.Tensor], alpha: float) -> None:
+    """D by itself, and G with heights uncorrelated, from which the correlated one follows, in Mitsuba's own code."""
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    peer = mi.MicrofacetDistribution(getattr(mi.MicrofacetType, name), alpha, False)
+    generator = np.random.default_rng(0)
+    for theta_i, theta_o, phi in generator.uniform(0, [1.4, 1.4, math.pi], (40, 3)):
+        wi = np.array([math.sin(theta_i), 0, math.cos(theta_i)])
+        wo = np.array([math.sin(theta_o) * math.cos(phi), math.sin(theta_o) * math.sin(phi), math.cos(theta_o)])
+        half = (wi + wo) / np.linalg.norm(wi + wo)
+        d = peer.eval(half.tolist())
+        inverse = sum(1 / peer.smith_g1(one.tolist(), half.tolist()) for one in (wi, wo)) - 1
+        expected = d / inverse / (4 * wi[2] * wo[2])
+        # Mitsuba approximates Beckmann's Lambda by a rational function.
+        tolerance = 1e-4 if name == "GGX" else 1e-2
+        assert evaluate(function, theta_i, theta_o, phi, 1.0, alpha, 1.0) == pytest.approx(expected, rel=tolerance)

@@ -4,22 +4,31 @@ from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
 from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
 from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.beckmann import Beckmann, beckmann
 from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
+from torchbrdf.lobes.charlie import Charlie, charlie
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.fresnel import schlick
+from torchbrdf.lobes.ggx import GGX, ggx
+from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
+from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
 
 __all__ = [
+    "GGX",
+    "GTR",
     "LOBES",
     "AshikhminShirley",
+    "Beckmann",
     "BlinnPhong",
     "BoundedParameter",
+    "Charlie",
     "CookTorrance",
     "DistributionBased",
     "FitRecord",
@@ -29,16 +38,21 @@ __all__ = [
     "ShiftedGamma",
     "Sum",
     "Ward",
+    "WardDuer",
     "abc",
     "albedo",
     "apply_albedo",
     "ashikhmin_shirley",
+    "beckmann",
     "blinn_phong",
+    "charlie",
     "clamp_cosine",
     "cook_torrance",
     "dielectric",
     "distribution_based",
     "from_parameters",
+    "ggx",
+    "gtr",
     "lambert",
     "make_model",
     "model_name",
@@ -48,5 +62,6 @@ __all__ = [
     "schlick",
     "shifted_gamma",
     "ward",
+    "ward_duer",
     "write_fits",
 ]
