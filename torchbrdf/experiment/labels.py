@@ -10,6 +10,7 @@ MODEL_LABELS = {
     "abc": "ABC",
     "distribution_based": "distribution-based",
     "ggx": "GGX",
+    "gtr": "GTR",
     "sgd": "SGD",
     "shifted_gamma": "shifted gamma",
 }
