@@ -1,6 +1,5 @@
 """Pairs of incident and outgoing directions, with the cosines that BRDFs need, computed once."""
 
-import math
 from collections.abc import Callable, ItemsView
 from types import ModuleType
 
@@ -8,6 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.half_difference import directions, half_vector, nonzero, norm, phi_d
 from torchbrdf.precision import HALVES
 from torchbrdf.roots import safe_ratio, safe_sqrt
 
@@ -87,7 +87,7 @@ class Pairs:
         if dtype in HALVES:
             return cls.from_directions(wi.float(), wo.float()).to(dtype=dtype)
         wi, wo = wi.to(dtype), wo.to(dtype)
-        half = _half_vector(wi, wo)
+        half = half_vector(wi, wo)
         square = half.square()
         horizontal = square[..., 0] + square[..., 1]
         length = safe_sqrt(horizontal + square[..., 2])
@@ -96,7 +96,7 @@ class Pairs:
             wo=wo,
             cos_i=wi[..., 2],
             cos_o=wo[..., 2],
-            cos_h=half[..., 2] / _nonzero(length),
+            cos_h=half[..., 2] / nonzero(length),
             cos_d=length / 2,
             tan2_h=safe_ratio(horizontal, square[..., 2]),
         )
@@ -230,13 +230,16 @@ class Pairs:
         if name == "theta_h" and ("tan2_h" in known or "cos_h" in known):
             return torch.atan2(safe_sqrt(self.tan2_h), torch.ones_like(self.tan2_h))
         if name == "theta_d" and "wi" in known:
-            return torch.atan2(_length(self.wi - self.wo), _length(_half_vector(self.wi, self.wo)))
+            return torch.atan2(
+                norm(self.wi - self.wo),
+                norm(half_vector(self.wi, self.wo)),
+            )
         if name == "theta_d" and "cos_d" in known:
             return torch.atan2(safe_sqrt((1 - self.cos_d.square()).clamp_min(0)), self.cos_d)
         if name == "phi_d" and "wi" in known:
-            return _phi_d(self.wi, self.wo)
+            return phi_d(self.wi, self.wo)
         if name in ("wi", "wo") and "phi_d" in known:
-            wi, wo = _directions(self.theta_h, self.theta_d, self.phi_d)
+            wi, wo = directions(self.theta_h, self.theta_d, self.phi_d)
             return wi if name == "wi" else wo
         raise ShapeError(f"Pairs: {name} is needed, but only {', '.join(sorted(known))} were given")
 
@@ -456,50 +459,3 @@ def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
     if not isinstance(index, Tensor):
         index = torch.tensor(index, dtype=torch.int64, device=value.device)
     return value.index_select(dim, index.to(value.device))
-
-
-def _half_vector(wi: Tensor, wo: Tensor) -> Tensor:
-    """wi + wo, without a gradient where the directions are opposite but for rounding, and it points anywhere."""
-    half = wi + wo
-    if not half.requires_grad:
-        return half
-    nowhere = half.detach().abs().amax(-1, keepdim=True) < 8 * torch.finfo(half.dtype).eps
-    return torch.where(nowhere, half.detach(), half)
-
-
-def _length(vector: Tensor) -> Tensor:
-    """Length of `(..., 3)`, `(...)`; Tensor.norm is ten times slower where the components lie apart in memory."""
-    x, y, z = vector.unbind(-1)
-    return safe_sqrt(x.square() + y.square() + z.square())
-
-
-def _nonzero(length: Tensor) -> Tensor:
-    """Lengths to divide by, with 1 in the place of 0."""
-    return torch.where(length == 0, 1, length)
-
-
-def _phi_d(wi: Tensor, wo: Tensor) -> Tensor:
-    """Azimuth of wi in the frame whose z is the half vector and whose x lies in the plane of h and the normal."""
-    h = _half_vector(wi, wo)
-    radius = safe_sqrt(h[..., 0].square() + h[..., 1].square())
-    length = _nonzero(safe_sqrt(radius.square() + h[..., 2].square()))
-    at_pole, divisor = radius == 0, _nonzero(radius)
-    cos_p = torch.where(at_pole, 1.0, h[..., 0] / divisor)
-    sin_p = torch.where(at_pole, 0.0, h[..., 1] / divisor)
-    along = cos_p * wi[..., 0] + sin_p * wi[..., 1]
-    across = cos_p * wi[..., 1] - sin_p * wi[..., 0]
-    along = (along * h[..., 2] - wi[..., 2] * radius) / length
-    # Where wi = wo there is no azimuth: 0, as that of (1, 0), with gradient 0.
-    none = across.square() + along.square() < torch.finfo(h.dtype).tiny
-    phi = torch.atan2(torch.where(none, 0, across), torch.where(none, 1, along))
-    phi = torch.where(phi < 0, phi + math.pi, phi)
-    return torch.where(phi >= math.pi, torch.zeros_like(phi), phi)
-
-
-def _directions(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> tuple[Tensor, Tensor]:
-    """wi and wo, with the half vector in the plane of x and z."""
-    sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
-    x, y = sin_d * phi_d.cos(), sin_d * phi_d.sin()
-    wi = torch.stack([cos_h * x + sin_h * cos_d, y, cos_h * cos_d - sin_h * x], -1)
-    wo = torch.stack([sin_h * cos_d - cos_h * x, -y, cos_h * cos_d + sin_h * x], -1)
-    return wi, wo

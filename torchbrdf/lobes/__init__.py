@@ -3,7 +3,7 @@
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
 from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.beckmann import Beckmann, beckmann
 from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
 from torchbrdf.lobes.charlie import Charlie, charlie
@@ -14,6 +14,7 @@ from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum

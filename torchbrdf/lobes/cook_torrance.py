@@ -13,9 +13,10 @@ from torchbrdf.lobes._microfacet import (
     tangent,
     v_groove,
 )
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 
 

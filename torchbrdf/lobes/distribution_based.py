@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import v_groove
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel
+from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_sqrt
 

@@ -6,9 +6,10 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, tangent
 from torchbrdf.lobes._smith import ggx_visibility, ggx_visibility_and_log_derivative
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 
 

@@ -5,10 +5,11 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes import base
+from torchbrdf.lobes import parameter
 from torchbrdf.lobes._microfacet import apply_albedo
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
+from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.pairs import Pairs
 
 
@@ -51,7 +52,7 @@ class Lambert(Lobe):
         Lambert(albedo=[0.3, 0.2, 0.1])
     """
 
-    albedo: BoundedParameter = base.albedo(start=0.5, doc="diffuse albedo, per channel")
+    albedo: BoundedParameter = parameter.albedo(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
 
     @classmethod

@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError, shown
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.lambert import Lambert
+from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.lobes.sum import Sum
 
 DIFFUSE_KEY = "diffuse"

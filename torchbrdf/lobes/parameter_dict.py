@@ -5,7 +5,8 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from torchbrdf.lobes.base import BoundedParameter, Lobe
+from torchbrdf.lobes.base import Lobe
+from torchbrdf.lobes.parameter import BoundedParameter
 
 AnyLobe = TypeVar("AnyLobe", bound=Lobe)
 

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import clamped_exp, log_secant, tangent
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import schlick_weight
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 
 # Below this a product of cosines no longer changes a quotient.

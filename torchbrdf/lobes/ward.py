@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, log_beckmann_derivative, tangent
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 
 

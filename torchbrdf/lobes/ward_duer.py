@@ -13,8 +13,9 @@ from torchbrdf.lobes._microfacet import (
     log_secant,
     tangent,
 )
-from torchbrdf.lobes.base import LOBES, BoundedParameter, Lobe, albedo
+from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
+from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_ratio
 
