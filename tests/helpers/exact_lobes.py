@@ -155,6 +155,36 @@ def exact_ward_duer(g: Geometry, specular: mpf, alpha: mpf) -> mpf:
     return specular * lobe * square / (g.n_i + g.n_o) ** 4
 
 
+def exact_oren_nayar(g: Geometry, albedo: mpf, sigma: mpf) -> mpf:
+    """Eq. 30 of Oren and Nayar."""
+    a = 1 - sigma**2 / (2 * (sigma**2 + mpf("0.33")))
+    b = mpf("0.45") * sigma**2 / (sigma**2 + mpf("0.09"))
+    horizontal = 2 * g.o_h**2 - 1 - g.n_i * g.n_o  # sin sin cos(phi)
+    angles = sorted([mpmath.acos(g.n_i), mpmath.acos(g.n_o)])
+    sines = mpmath.sin(angles[0]) * mpmath.sin(angles[1])
+    cos_phi = horizontal / sines if sines else mpf(0)
+    return albedo / mpmath.pi * (a + b * max(mpf(0), cos_phi) * mpmath.sin(angles[1]) * mpmath.tan(angles[0]))
+
+
+def exact_eon(g: Geometry, rho: mpf, r: mpf) -> mpf:
+    """Portsmouth, Kutz and Hill, with the albedo of the first term as they give it."""
+    a = 1 / (1 + (mpf(1) / 2 - 2 / (3 * mpmath.pi)) * r)
+
+    def albedo(cosine: mpf) -> mpf:
+        sine, theta = mpmath.sqrt(1 - cosine**2), mpmath.acos(cosine)
+        gain = sine * (theta - sine * cosine) + mpf(2) / 3 * (sine / cosine * (1 - sine**3) - sine)
+        return a + a * r / mpmath.pi * gain
+
+    s = 2 * g.o_h**2 - 1 - g.n_i * g.n_o
+    t = max(g.n_i, g.n_o) if s > 0 else mpf(1)
+    mean = a * (1 + (mpf(2) / 3 - 28 / (15 * mpmath.pi)) * r)
+    single = rho / mpmath.pi * a * (1 + r * s / t)
+    if r == 0:
+        return single
+    again = rho**2 * mean / (1 - rho * (1 - mean)) / mpmath.pi
+    return single + again * (1 - albedo(g.n_i)) * (1 - albedo(g.n_o)) / (1 - mean)
+
+
 def exact_charlie(g: Geometry, specular: mpf, a: mpf) -> mpf:
     d = (2 + 1 / a) * mpmath.sin(g.delta) ** (1 / a) / (2 * mpmath.pi)
     return specular * d / (4 * (g.n_i + g.n_o - g.n_i * g.n_o))
@@ -182,6 +212,8 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "beckmann": (exact_beckmann, [unit, decades(0.001, 1), f0s]),
     "gtr": (exact_gtr, [unit, decades(0.001, 1), decades(0.5, 10), f0s]),
     "ward_duer": (exact_ward_duer, [unit, decades(0.001, 0.5)]),
+    "oren_nayar": (exact_oren_nayar, [unit, st.floats(0.001, 1.5)]),
+    "eon": (exact_eon, [unit, st.one_of(st.just(0.0), st.floats(0.01, 1))]),
     "charlie": (exact_charlie, [unit, decades(0.01, 1)]),
     "shifted_gamma": (
         exact_shifted_gamma,

@@ -25,6 +25,7 @@ from torchbrdf.lobes import (
     cook_torrance,
     dielectric,
     distribution_based,
+    eon,
     ggx,
     gtr,
     lambert,
@@ -357,3 +358,26 @@ def test_distributions_of_mitsuba(name: str, function: Callable[..., torch.Tenso
         # Mitsuba approximates Beckmann's Lambda by a rational function.
         tolerance = 1e-4 if name == "GGX" else 1e-2
         assert evaluate(function, theta_i, theta_o, phi, 1.0, alpha, 1.0) == pytest.approx(expected, rel=tolerance)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("theta", [0.0, 0.7, 1.3, 1.5])
+def test_eon_keeps_all_energy(roughness: float, theta: float) -> None:
+    """A white one reflects all light from any direction; the albedo of a grey one is below its parameter."""
+    cos_o, weight = (torch.from_numpy(x) for x in np.polynomial.legendre.leggauss(200))
+    cos_o, weight = (cos_o + 1) / 2, weight / 2
+    phi = (torch.arange(400, dtype=torch.float64) + 0.5) / 400 * math.pi
+    cos_o, phi, weight = (
+        x.flatten() for x in (cos_o[:, None] + 0 * phi, phi + 0 * cos_o[:, None], weight[:, None] + 0 * phi)
+    )
+    sin_o = (1 - cos_o.square()).sqrt()
+    wo = torch.stack([sin_o * phi.cos(), sin_o * phi.sin(), cos_o], -1)
+    wi = torch.tensor([[math.sin(theta), 0.0, math.cos(theta)]], dtype=torch.float64).expand_as(wo)
+    pairs, one = Pairs.from_directions(wi, wo), torch.ones(1, dtype=torch.float64)
+
+    def share(rho: float) -> float:
+        value = eon(pairs, rho * one, roughness * one)[:, 0]
+        return (value * cos_o * weight).sum().item() * 2 * math.pi / 400
+
+    assert share(1.0) == pytest.approx(1, rel=2e-4)
+    assert share(0.5) <= 0.5 + 1e-4

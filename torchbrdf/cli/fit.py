@@ -33,9 +33,11 @@ def add(commands: Commands) -> None:
     """Add the command to the parser."""
     parser = described(commands.add_parser("fit", help="fit a model to measured BRDFs"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="+", help="measured BRDFs, or folders of them")
-    parser.add_argument("--model", default="ward", help="ward (default), cook_torrance, ashikhmin_shirley, ...")
     parser.add_argument(
-        "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one, 1 to 8 (default 2)"
+        "--model", default="ward", help="ward (default), ggx, ..., or all components, such as oren_nayar+ggx+ggx"
+    )
+    parser.add_argument(
+        "--lobes", type=whole(1, 8), help="specular lobes beside the diffuse term, 1 to 8 (default 2, or those named)"
     )
     parser.add_argument(
         "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"

@@ -1,6 +1,7 @@
 """Names of models, losses and differences for people, and what has to be said of results."""
 
 from torchbrdf.images import DIFFERENCES
+from torchbrdf.lobes.model import JOIN
 from torchbrdf.losses import LOSSES
 
 STAND_IN = "stand-in materials, not measurements"
@@ -9,6 +10,7 @@ LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "solid_angle_cosine_rms
 MODEL_LABELS = {
     "abc": "ABC",
     "distribution_based": "distribution-based",
+    "eon": "EON",
     "ggx": "GGX",
     "gtr": "GTR",
     "sgd": "SGD",
@@ -44,9 +46,11 @@ def model_label(name: str) -> str:
     """A model's name for people; those that are named after people have capitals.
 
     Example:
-        >>> model_label("cook_torrance"), model_label("abc")
-        ('Cook-Torrance', 'ABC')
+        >>> model_label("cook_torrance"), model_label("oren_nayar+ggx")
+        ('Cook-Torrance', 'Oren-Nayar + GGX')
     """
+    if JOIN in name:
+        return f" {JOIN} ".join(map(model_label, name.split(JOIN)))
     return MODEL_LABELS.get(name) or "-".join(word.capitalize() for word in name.split("_"))
 
 

@@ -268,10 +268,12 @@ def _check_start(model: Lobe) -> dict[int, str]:
 
 
 def _set_diffuse(model: Lobe, measured: Measured) -> None:
-    diffuse = [part for part in model.components() if isinstance(part, Lambert)]
+    diffuse = [part for part in model.components() if part.is_diffuse]
     if len(diffuse) > 1:
-        raise ShapeError(f"fit: expected at most one Lambert lobe, found {len(diffuse)}")
+        raise ShapeError(f"fit: expected at most one diffuse term, found {len(diffuse)}")
     for part in diffuse:
+        if not isinstance(part, Lambert):
+            raise UsageError(f"diffuse: expected fit for {type(part).__name__}, found 45:0, which is of Lambert alone")
         part.albedo.data = measured.diffuse_45_0().to(part.albedo)
 
 

@@ -8,19 +8,19 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from torchbrdf.lobes import BoundedParameter, Lambert, Lobe, Sum
+from torchbrdf.lobes import BoundedParameter, Lobe, Sum
 from torchbrdf.lobes.parameter_dict import ParameterDict, component_names
 from torchbrdf.pairs import Pairs
 
 
 def diffuse_components(model: Lobe) -> list[int]:
     """Which components are diffuse."""
-    return [k for k, lobe in enumerate(model.components()) if isinstance(lobe, Lambert)]
+    return [k for k, lobe in enumerate(model.components()) if lobe.is_diffuse]
 
 
 def specular_components(model: Lobe) -> list[int]:
     """Which are not."""
-    return [k for k, lobe in enumerate(model.components()) if not isinstance(lobe, Lambert)]
+    return [k for k, lobe in enumerate(model.components()) if not lobe.is_diffuse]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.files import csv_text, write_text
 from torchbrdf.fitting.strategy import Stage
-from torchbrdf.lobes import FitRecord, Lambert, Lobe, model_name, parameters, write_fits
+from torchbrdf.lobes import FitRecord, Lobe, model_name, parameters, write_fits
 from torchbrdf.solvers import Status
 
 
@@ -104,12 +104,14 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     count = -1
     found: list[str] = []
     for component in model.components():
-        is_diffuse = isinstance(component, Lambert)
+        is_diffuse = component.is_diffuse
         count += not is_diffuse
         if is_diffuse and not diffuse:
             continue
         for name, spec in component.parameter_specs.items():
-            label = "diffuse" if is_diffuse else f"{name}[{count}]"
+            label = f"{name}[{count}]"
+            if is_diffuse:
+                label = "diffuse" if spec.shape == (3,) else f"diffuse_{name}"
             close = 1e-6 * max(abs(spec.lower), abs(spec.upper))
             low, high = spec.lower + min(close, 1e-3 * abs(spec.lower)), spec.upper - close
             values = getattr(component, name)[material].flatten().tolist()

@@ -9,11 +9,13 @@ from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
 from torchbrdf.lobes.charlie import Charlie, charlie
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
+from torchbrdf.lobes.eon import EON, eon
 from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
+from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
@@ -22,6 +24,7 @@ from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
 
 __all__ = [
+    "EON",
     "GGX",
     "GTR",
     "LOBES",
@@ -36,6 +39,7 @@ __all__ = [
     "Lambert",
     "Lobe",
     "LowABC",
+    "OrenNayar",
     "ShiftedGamma",
     "Sum",
     "Ward",
@@ -51,6 +55,7 @@ __all__ = [
     "cook_torrance",
     "dielectric",
     "distribution_based",
+    "eon",
     "from_parameters",
     "ggx",
     "gtr",
@@ -58,6 +63,7 @@ __all__ = [
     "make_model",
     "model_name",
     "model_of",
+    "oren_nayar",
     "parameters",
     "read_fits",
     "schlick",

@@ -69,6 +69,8 @@ class Lobe(_Declared):
 
     parameter_specs: ClassVar[dict[str, BoundedParameter]] = {}
     """The declared parameters by name, those of base classes first."""
+    is_diffuse: ClassVar[bool] = False
+    """Whether it is a diffuse term, of which a model has at most one."""
     function: ClassVar[Callable[..., Tensor]]
     """The functional form: `function(pairs, *parameters)`, `(..., N, 3)`."""
     __signature__: ClassVar[inspect.Signature]

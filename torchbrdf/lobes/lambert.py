@@ -1,6 +1,7 @@
 """Lambert's diffuse reflection."""
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -52,6 +53,7 @@ class Lambert(Lobe):
         Lambert(albedo=[0.3, 0.2, 0.1])
     """
 
+    is_diffuse: ClassVar[bool] = True
     albedo: BoundedParameter = parameter.albedo(start=0.5, doc="diffuse albedo, per channel")
     function = staticmethod(lambert)
 
