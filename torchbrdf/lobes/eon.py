@@ -43,7 +43,7 @@ def eon(pairs: Pairs, albedo: Tensor, roughness: Tensor) -> Tensor:
         >>> from torchbrdf.lobes import eon
         >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
         >>> eon(Pairs.from_half_diff(angle, angle, angle), colour, torch.tensor([0.5]))
-        tensor([[0.0282, 0.0570, 0.0865]])
+        tensor([[0.0283, 0.0576, 0.0879]])
     """
     # Of s below 0 by way of 1 + s, all of whose digits count where it is near 0 and r near 1.
     above = 2 * pairs.cos_d.square() - pairs.cos_i * pairs.cos_o

@@ -39,7 +39,7 @@ def oren_nayar(pairs: Pairs, albedo: Tensor, roughness: Tensor) -> Tensor:
         >>> from torchbrdf.lobes import oren_nayar
         >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
         >>> oren_nayar(Pairs.from_half_diff(angle, angle, angle), colour, torch.tensor([0.5]))
-        tensor([[0.0250, 0.0501, 0.0751]])
+        tensor([[0.0250, 0.0499, 0.0749]])
     """
     return apply_albedo(pairs, _shape(pairs, roughness), albedo)
 
