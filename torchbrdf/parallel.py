@@ -25,9 +25,9 @@ __all__ = ["Lost", "process_map", "thread_map"]
 
 VARIABLE = "TORCHBRDF_PROCESSES"
 """Of the environment: `always` or `never` in the place of the rule of `process_map`."""
-# CPU seconds of threads before processes are started. Two threads wait for Python's lock for 13 % of their time, and a
-# process takes 2.5 s to import torch and torchbrdf: so the start is paid for when it has cost as much to do without.
-WORTH = 40.0
+# CPU seconds of work, done and foreseen, above which processes are started. Two threads take a third more of it than
+# two processes, and a process takes 2.5 s to import torch and torchbrdf: so much work pays for two of them.
+WORTH = 15.0
 THREADS = "torchbrdf: working in threads, as processes cannot be given the work: %s"
 
 logger = logging.getLogger("torchbrdf")
@@ -49,14 +49,15 @@ def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result | Lost]:
     """As `thread_map`, in processes where that is quicker: threads of one process wait for Python's lock.
 
-    For seconds of work on the CPU, of which a small result comes back. It is `thread_map` until this process has spent
-    40 CPU seconds on such work; then processes are started, which nothing waits for, and are kept for later calls.
+    For seconds of work on the CPU, of which a small result comes back. It is `thread_map` until this process has spent,
+    or by the pace of the first items will spend, 15 CPU seconds on such work; then processes are started, which nothing
+    waits for, and are kept for later calls.
     Function and items are pickled by cloudpickle. What is raised in a process is raised here, with its traceback there
     as the cause; an item whose process died twice gives `Lost`.
 
     It stays `thread_map` with one item or one thread, while another thread has the processes, in a process that may
     have no children, and for what cannot be pickled or takes too many bytes, which the log says. TORCHBRDF_PROCESSES in
-    the environment, `always` or `never`, overrules the 40 seconds.
+    the environment, `always` or `never`, overrules the 15 seconds.
 
     Raises:
         RuntimeError: Processes die as they start.
@@ -72,7 +73,7 @@ def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> It
             return
         left = iter(items)
         if rule != "always":
-            yield from _in_threads(function, _until_processes(function, left, count), count)
+            yield from _in_threads(function, _until_processes(function, left, len(items), count), count)
         rest = list(left)
         given = 0
         try:
@@ -84,13 +85,18 @@ def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> It
             yield from thread_map(function, rest[given:])
 
 
-def _until_processes(function: Callable[[Item], Result], items: Iterator[Item], count: int) -> Iterator[Item]:
-    """Items for threads until processes are ready, which start when threads have had what makes them worth it."""
+def _until_processes(
+    function: Callable[[Item], Result], items: Iterator[Item], total: int, count: int
+) -> Iterator[Item]:
+    """Items for threads until processes are ready, which start when there is work that makes them worth it."""
     global _spent
-    began, tried = time.perf_counter(), False
+    began, tried, taken = time.perf_counter(), False, 0
     try:
         while not WORKERS.are_ready(count):
-            if not tried and _spent + count * (time.perf_counter() - began) > WORTH:
+            # The first are taken in advance; each later one is taken when one is done, and others are half done.
+            done = taken - 2 * count
+            share = min(1, (done + count / 2) / total) if done > 0 else 1
+            if not tried and _spent + count * (time.perf_counter() - began) / share > WORTH:
                 tried = True
                 try:
                     WORKERS.begin(count, packed_function(function))
@@ -100,6 +106,7 @@ def _until_processes(function: Callable[[Item], Result], items: Iterator[Item], 
                 item = next(items)
             except StopIteration:
                 return
+            taken += 1
             yield item
     finally:
         _spent += count * (time.perf_counter() - began)
