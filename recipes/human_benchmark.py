@@ -6,10 +6,12 @@ from pathlib import Path
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark
+from torchbrdf.experiment.discrimination import calibrate_metrics
+from torchbrdf.experiment.metric_training import PUBLISHED
 from torchbrdf.experiment.settings import ANGLES
 from torchbrdf.losses import LOSSES
 from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
-from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, sphere
 from torchbrdf.report import HumanPage, write_human_report
@@ -56,6 +58,9 @@ class HumanBenchmark(HumanAnswersRecipe):
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         benchmark.write(table)
+        scene = f"a sphere in the bundled light, {size} x {size} pixels" if self.images else "none"
+        facts = {"answers": SYNTHETIC if self.quick else PUBLISHED, "values": f"{samples} pairs", "pictures": scene}
+        calibrated = calibrate_metrics(folder, data, benchmark.distances, facts, replicates, self.seed)
         said = HumanPage(
             synthetic=self.quick,
             stand_in=data.stand_in,
@@ -65,4 +70,4 @@ class HumanBenchmark(HumanAnswersRecipe):
             max_theta=self.max_theta,
             replicates=replicates,
         )
-        return write_human_report(folder.path, table, data, said)
+        return write_human_report(folder.path, table, data, said, calibrated)

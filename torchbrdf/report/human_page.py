@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from torchbrdf.experiment.discrimination import Calibrated
 from torchbrdf.experiment.labels import caveat, loss_label
 from torchbrdf.files import write_text
 from torchbrdf.losses import LearnedLoss
@@ -14,6 +15,7 @@ from torchbrdf.perception import FACTORS, BenchmarkData, Table
 from torchbrdf.perception.agreement.table import LABELS, LEFT_OUT, ODD_METHOD
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.meaning import meaning
 from torchbrdf.report.style import COLORS, new_figure
 from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
@@ -48,16 +50,19 @@ class HumanPage:
     replicates: int
 
 
-def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: HumanPage) -> Path:
-    """Draw the figure and write `report.html`; gives its path."""
-    figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.synthetic else ""))
+def write_human_report(
+    folder: Path, table: Table, data: BenchmarkData, said: HumanPage, calibrated: Calibrated
+) -> Path:
+    """Draw the figures and write `report.html`; gives its path."""
+    figure, mark = folder / "figures" / "agreement.png", caveat(said.stand_in, SYNTHETIC if said.synthetic else "")
+    agreement_figure(figure, table, mark)
     opinions, triplets = data.opinions, data.triplets
     page = template("human.html").render(
         title=TITLE,
         said=said,
         findings=[*findings(table), *([] if said.synthetic else trained(table))],
         figure=embed_png(figure),
+        meaning=meaning(folder / "figures" / "reliability.png", calibrated, mark),
         tables=[
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),
