@@ -58,8 +58,12 @@ class HumanBenchmark(HumanAnswersRecipe):
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         benchmark.write(table)
-        scene = f"a sphere in the bundled light, {size} x {size} pixels" if self.images else "none"
-        facts = {"answers": SYNTHETIC if self.quick else PUBLISHED, "values": f"{samples} pairs", "pictures": scene}
+        facts = {
+            "answers": SYNTHETIC if self.quick else PUBLISHED,
+            "tables": "stand-ins for measured tables" if data.stand_in else "measured",
+            "values": f"at {samples} pairs",
+            "pictures": f"of a sphere in the bundled light, {size} x {size} pixels" if self.images else "none",
+        }
         calibrated = calibrate_metrics(folder, data, benchmark.distances, facts, replicates, self.seed)
         said = HumanPage(
             synthetic=self.quick,

@@ -1,16 +1,16 @@
 """What distances mean: the reliability figure, and a table of how many observers tell what apart."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from torchbrdf.experiment.discrimination import METRIC, Calibrated
-from torchbrdf.experiment.labels import loss_label
+from torchbrdf.experiment.labels import difference_label, loss_label
 from torchbrdf.perception.discrimination.calibration import ReliabilityBin
 from torchbrdf.perception.discrimination.psychometric import Discrimination, Share
-from torchbrdf.perception.discrimination.words import MARKS, digits
+from torchbrdf.perception.discrimination.words import MARKS, digits, scale
 from torchbrdf.report.embed import embed_png
 from torchbrdf.report.style import new_figure
 from torchbrdf.report.tables import Column, Table, table
@@ -33,6 +33,11 @@ def meaning(figure: Path, calibrated: Calibrated, mark: str) -> dict[str, Any] |
     names = sorted(calibrated.metrics, key=lambda name: (name != METRIC, not name.startswith("rendered_")))
     reliability_figure(figure, {name: calibrated.bins[name] for name in names[:MOST_PANELS]}, mark)
     return {"figure": embed_png(figure), "table": meaning_table(calibrated.metrics, names)}
+
+
+def scales(differences: Iterable[str]) -> list[str]:
+    """The scales of those image differences of which it is known what they mean."""
+    return [line for name in differences if (line := scale(name, difference_label(name)))]
 
 
 def reliability_figure(path: Path, bins: Mapping[str, Sequence[ReliabilityBin]], mark: str) -> None:
@@ -71,9 +76,9 @@ def meaning_table(metrics: Mapping[str, Discrimination], names: Sequence[str]) -
     ]
     note = (
         "Distances at which such a share of observers would be expected to tell two things apart; in brackets: beyond "
-        "what was asked. Half, for one pair: the 95 % interval of the share where half is expected; the wider, the less "
-        "a metric says about one pair. Off: how far, in the mean, shares in the other half of the answers are from "
-        "those foretold."
+        "what was asked. Half, for one pair: the 95 % interval of the share where half is expected; the wider, the "
+        "less a metric says about one pair. Off: how far, in the mean, shares in the other half of the answers are "
+        "from those foretold."
     )
     return table("Told apart by", note, names, columns)
 

@@ -137,8 +137,8 @@ def calibrate(
     lowest, highest = float(ranges[:, 0].min()), float(ranges[:, 1].max())
     length = float(unit)
     rounded = [[float(f"{x:.3g}") for x in row] for row in covariance.tolist()]
-    constants = [float(f"{x:.4g}") for x in (slope / length, scale * length, spread)]
-    return Discrimination(*constants, rounded, float(f"{lowest:.3g}"), float(f"{highest:.3g}"))
+    slope, scale, spread = (float(f"{x:.4g}") for x in (slope / length, scale * length, spread))
+    return Discrimination(slope, scale, spread, rounded, float(f"{lowest:.3g}"), float(f"{highest:.3g}"))
 
 
 def reliability(
@@ -244,11 +244,11 @@ def _maximum(distances: Tensor, parts: Mapping[str, Choices]) -> Tensor:
     def closure() -> Tensor:
         optimizer.zero_grad()
         value = _objective(logs, distances, parts)
-        value.backward()  # type: ignore[no-untyped-call]
+        value.backward()
         return value
 
     with torch.enable_grad():
-        optimizer.step(closure)  # type: ignore[no-untyped-call]
+        optimizer.step(closure)
     found = logs.detach()
     if not bool(found.isfinite().all()):
         raise DataError("a calibration: expected answers that depend on the distances, found no maximum of likelihood")

@@ -52,12 +52,17 @@ class Share:
         return f"{_percent(self.value)} %"
 
     @property
-    def text(self) -> str:
-        """The share with its interval, and whether it is extrapolated."""
+    def brief(self) -> str:
+        """The share with its interval, such as `40 % (20 to 65)`; * where it is extrapolated."""
         if math.isnan(self.value):
             return "unknown"
         interval = f" ({_percent(self.low)} to {_percent(self.high)})" if self.high > self.low else ""
-        return f"{self.percent}{interval}{'' if self.asked else ', beyond what was asked'}"
+        return f"{self.percent}{interval}{'' if self.asked else '*'}"
+
+    @property
+    def text(self) -> str:
+        """The same, and in words whether it is extrapolated."""
+        return self.brief.removesuffix("*") + ("" if self.asked else ", beyond what was asked")
 
     @property
     def words(self) -> str:
@@ -212,7 +217,7 @@ class JustObjectionable:
 
 @dataclass(frozen=True)
 class DiscriminationFile:
-    """What a `discrimination.json` holds: how well people tell things apart under each metric, and how that is known."""
+    """What a `discrimination.json` holds: how well people tell things apart under each metric, and whence that is."""
 
     metrics: dict[str, Discrimination]
     provenance: dict[str, Any]

@@ -8,15 +8,17 @@ MARKS = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Shares that a scale shows."""
 
 MEANING = (
-    "Told apart: the share of observers who would be expected to tell a fit from the material when both are shown "
-    "beside it; the others guess."
+    "Told apart by: the share of observers who would be expected to know which of two is the fit, with the material "
+    "itself beside them; the others guess."
 )
 
 
-def brief(metric: str, distance: float) -> str:
-    """The share alone, such as `40 %`; empty where it is not known."""
+def brief(metric: str, distance: float, *, interval: bool = False) -> str:
+    """The share, such as `40 %`, or with its interval `40 % (20 to 65)`; empty where it is not known."""
     found = told_apart(metric, distance)
-    return "" if found is None or math.isnan(found.value) else found.percent
+    if found is None or math.isnan(found.value):
+        return ""
+    return found.brief if interval else found.percent
 
 
 def said(metric: str, distance: float) -> str:
