@@ -30,7 +30,7 @@ from torchbrdf.perception.discrimination.psychometric import (
     DiscriminationFile,
     JustObjectionable,
     Share,
-    discrimination,
+    discrimination_of,
 )
 from torchbrdf.recipe import RunFolder
 
@@ -117,7 +117,11 @@ def shares_of_fits(groups: list[Measured], records: list[FitRecord]) -> list[Sha
     Returns:
         A share for each; None for a fit without a model, or where values have no distance.
     """
-    known, loss, pairs = discrimination(METRIC), make_loss(METRIC, "none"), uniform_pairs(PAIRS).to(dtype=torch.float32)
+    known, loss, pairs = (
+        discrimination_of(METRIC),
+        make_loss(METRIC, "none"),
+        uniform_pairs(PAIRS).to(dtype=torch.float32),
+    )
     if known is None:
         return [None] * len(records)
     materials = [(group, row) for group in groups for row in range(len(group))]

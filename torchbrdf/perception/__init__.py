@@ -17,19 +17,23 @@ from torchbrdf.perception.datasets.opinions import Opinions, read_opinions
 from torchbrdf.perception.datasets.published import PublishedFits, read_published
 from torchbrdf.perception.datasets.triplets import Triplets, read_triplets
 from torchbrdf.perception.directions import uniform_pairs
+from torchbrdf.perception.discrimination.psychometric import Discrimination, Share, discrimination_of, told_apart
 
 __all__ = [
     "FACTORS",
     "METHODS",
     "BenchmarkData",
+    "Discrimination",
     "Distances",
     "EvaluatedBrdfs",
     "FactorFits",
     "FactorModel",
     "Opinions",
     "PublishedFits",
+    "Share",
     "Table",
     "Triplets",
+    "discrimination_of",
     "distances",
     "evaluate_brdfs",
     "read_benchmark_data",
@@ -42,5 +46,6 @@ __all__ = [
     "score_triplets",
     "statistics_of",
     "tabulate",
+    "told_apart",
     "uniform_pairs",
 ]

@@ -15,9 +15,9 @@ from torchbrdf.perception.datasets.triplets import Triplets
 from torchbrdf.perception.discrimination.psychometric import LAPSE, NODE_WEIGHTS, NODES, Discrimination
 from torchbrdf.precision import undisturbed
 
-# What it costs a scale to be e times the mean distance, or a part of it, in mean log-likelihood: where answers show no
-# bend of the curve, its scale stays finite.
-SCALE_PRIOR = 1e-4
+# Logarithms of slope, scale and spread at the start, in units of the mean distance; and what it costs to leave them, in
+# mean log-likelihood: constants stay finite where answers do not say what they are.
+START, PRIOR = (0.5, 0.0, -0.7), 1e-4
 # Shares of the distances that were asked about which are outside the range that is given.
 OUTSIDE = 0.01
 STEP = 1e-4  # of numerical derivatives by the logarithms of the constants
@@ -230,15 +230,19 @@ def _log_likelihoods(logs: Tensor, distances: Tensor, own: Choices) -> Tensor:
     return torch.logsumexp(first * chance.log() + second * (1 - chance).log() + _weights().log(), -1)
 
 
+def _start() -> Tensor:
+    return torch.tensor(START, dtype=torch.float64, device="cpu")
+
+
 def _objective(logs: Tensor, distances: Tensor, parts: Mapping[str, Choices]) -> Tensor:
     means = [_log_likelihoods(logs, distances, own).sum() / own.votes.sum() for own in parts.values() if len(own)]
-    return SCALE_PRIOR * logs[1].square() - torch.stack(means).sum()
+    return PRIOR * (logs - _start()).square().sum() - torch.stack(means).sum()
 
 
 @undisturbed()
 def _maximum(distances: Tensor, parts: Mapping[str, Choices]) -> Tensor:
     """Logarithms of slope, scale and spread, `(3,)`; there is nothing random in it."""
-    logs = torch.tensor([0.5, 0.0, -0.7], dtype=torch.float64, device="cpu", requires_grad=True)
+    logs = _start().requires_grad_()
     optimizer = torch.optim.LBFGS([logs], max_iter=100, tolerance_change=1e-10, line_search_fn="strong_wolfe")
 
     def closure() -> Tensor:
@@ -276,7 +280,7 @@ def _covariance(
         for k, part in enumerate(draws):
             weight = part[own.materials].prod(1)
             pull[k] += weight @ slopes / (weight @ own.votes.sum(1)).clamp_min(1)
-    pull -= 2 * SCALE_PRIOR * torch.stack([torch.zeros_like(logs[1]), logs[1], torch.zeros_like(logs[1])])
+    pull -= 2 * PRIOR * (logs - _start())
     hessian = torch.autograd.functional.hessian(lambda at: _objective(at, distances, parts), logs)
     return torch.cov(torch.linalg.solve(hessian, pull.T))
 

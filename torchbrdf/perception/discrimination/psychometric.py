@@ -62,7 +62,7 @@ class Share:
     @property
     def text(self) -> str:
         """The same, and in words whether it is extrapolated."""
-        return self.brief.removesuffix("*") + ("" if self.asked else ", beyond what was asked")
+        return self.brief.replace("*", ", beyond what was asked")
 
     @property
     def words(self) -> str:
@@ -154,12 +154,9 @@ class Discrimination:
         if math.isnan(distance) or not distance:
             return Share(distance, distance, distance, asked=not distance)
         middle, sd = self.perceived(distance), self._log_deviation(distance)
-        value, low, high = (
-            self._expected(distance),
-            _told_apart(middle * math.exp(-NORMAL_95 * sd)),
-            _told_apart(middle * math.exp(NORMAL_95 * sd)),
-        )
-        return Share(value, low, high, asked=self.lowest <= distance <= self.highest)
+        value = self._expected(distance)
+        low, high = (_told_apart(middle * math.exp(sign * NORMAL_95 * sd)) for sign in (-1, 1))
+        return Share(value, min(low, value), max(high, value), asked=self.lowest <= distance <= self.highest)
 
     def distance(self, share: float) -> float:
         """The distance at which such a share, above 0 and below 1, would be expected to tell two things apart."""
@@ -242,14 +239,14 @@ def _bundled() -> Mapping[str, Discrimination]:
     return read_discrimination().metrics
 
 
-def discrimination(metric: str) -> Discrimination | JustObjectionable | None:
+def discrimination_of(metric: str) -> Discrimination | JustObjectionable | None:
     """How well people tell apart what is so far apart under a metric; None where that is not known.
 
     Args:
         metric: The name of a loss, or of an image difference.
 
     Example:
-        >>> discrimination("psnr") is None
+        >>> discrimination_of("psnr") is None
         True
     """
     if metric in DIFFERENCES and DIFFERENCES[metric].unit == "JOD":
@@ -270,7 +267,7 @@ def told_apart(metric: str, distance: float) -> Share | None:
         >>> told_apart("psnr", 30.0) is None
         True
     """
-    known = discrimination(metric)
+    known = discrimination_of(metric)
     return None if known is None else known.share(distance)
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from torchbrdf.perception.discrimination.psychometric import Share, discrimination, told_apart
+from torchbrdf.perception.discrimination.psychometric import Share, discrimination_of, told_apart
 
 MARKS = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Shares that a scale shows."""
@@ -44,7 +44,7 @@ def scale(metric: str, label: str) -> str:
     Returns:
         A line; empty where it is not known.
     """
-    known = discrimination(metric)
+    known = discrimination_of(metric)
     if known is None:
         return ""
     marks = [(share, known.distance(share)) for share in MARKS]
