@@ -5,7 +5,7 @@ from pathlib import Path
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
-from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark
+from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark, write_scores
 from torchbrdf.experiment.settings import ANGLES
 from torchbrdf.losses import LOSSES
 from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
@@ -22,7 +22,12 @@ class HumanBenchmark(HumanAnswersRecipe):
 
     name = "human_benchmark"
 
-    losses: tuple[str, ...] = field(default=(), metadata={"help": "losses to score; none: all that are registered"})
+    losses: tuple[str, ...] = field(
+        default=(),
+        metadata={
+            "help": "losses to score, by name, module:name or file.py:name (which runs); none: all that are registered"
+        },
+    )
     images: bool = field(default=False, metadata={"help": "also score pictures of a sphere"})
     differences: tuple[str, ...] = field(default=("delta_e76",), metadata={"help": "image differences of the pictures"})
     size: int = field(default=64, metadata={"help": "pixels of a side of the pictures", "low": 16, "high": 512})
@@ -55,7 +60,7 @@ class HumanBenchmark(HumanAnswersRecipe):
             raise UsageError(f"{self.name}: no loss could be scored")
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
-        benchmark.write(table)
+        write_scores(folder.path, table)
         said = HumanPage(
             synthetic=self.quick,
             stand_in=data.stand_in,

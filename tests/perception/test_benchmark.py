@@ -37,11 +37,12 @@ def test_every_loss_has_a_score_with_an_interval(out):
     records = json.loads((out / "scores.json").read_text())
     names = {record["loss"] for record in records}
     assert names == {*LOSSES, "rendered_delta_e76"}
-    assert {record["statistic"] for record in records} == {"majority", "votes", "pairs", "apart", "across"}
-    assert len(records) == 5 * len(names)
+    every = ("pairs", "apart", "across")
+    left_out = {f"{key}_without_guess-{k}" for key in every for k in (1, 2, 3)}
+    assert {record["statistic"] for record in records} == {"majority", "votes", *every, *left_out}
+    assert len(records) == 14 * len(names)
     for record in records:
-        assert 0 <= record["low"] <= record["agreement"] <= record["high"] <= 1
-        assert (record["ceiling"] is None) == (record["statistic"] == "majority")
+        assert 0 <= record["low"] <= record["agreement"] <= record["high"] <= 1 and 0.5 < record["ceiling"] < 1
     with (out / "scores.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["agreement"]) for row in rows] == [record["agreement"] for record in records]
@@ -160,12 +161,12 @@ def test_factors_are_one_more_method_where_there_is_a_file(tmp_path):
 
     found, page = keys()
     assert found == {"majority", "votes", "across"}
-    assert "Left out: BAGHER, SGD." in page and "With BAGHER" not in page
+    assert "Left out: BAGHER, SGD." in page and "with BAGHER" not in page
     factors = np.random.default_rng(1).uniform(0.1, 1, (256, 512, 3)).astype("<f4")
     (tmp_path / "npf.bin").write_bytes(factors.tobytes())
     found, page = keys()  # the distances that are stored are of too few opinions
-    assert found == {"majority", "votes", "across", "pairs_with_bagher", "across_with_bagher", "apart_with_bagher"}
-    assert "Left out: SGD." in page and "<h3>With BAGHER</h3>" in page and "Without BAGHER." in page
+    assert found == {"majority", "votes", "pairs", "apart", "across", "across_with_bagher"}
+    assert "Left out: SGD." in page and "<h3>Methods left out: across</h3>" in page and "with BAGHER (" in page
 
 
 def test_a_trained_metric_is_said_to_have_seen_the_answers():
@@ -176,3 +177,34 @@ def test_a_trained_metric_is_said_to_have_seen_the_answers():
     (line,) = trained(tabulate(columns, {"learned": some, "rms": some}, replicates=3))
     assert f"{LearnedLoss().provenance['held_out']['majority'][0]:.3f}" in line and "did not see" in line
     assert trained(tabulate(columns, {"rms": some}, replicates=3)) == []
+
+
+def test_opinions_about_unknown_materials_or_only_unknown_methods_are_refused(tmp_path):
+    settings = study(tmp_path)
+    path = tmp_path / "opinions.csv"
+    good = path.read_text()
+    path.write_text(good + "WARD,nickle,0.5\n")
+    said = r"opinions\.csv: line 32: expected one of 100 materials, found 'nickle'; did you mean 'nickel'\?$"
+    with pytest.raises(DataError, match=said):
+        run(benchmark(**settings), tmp_path / "out")
+    path.write_text(good.replace("WARD", "WRAD"))
+    with pytest.raises(DataError, match=r"opinions\.csv: expected opinions of WARD, found only others: BAGHER, SGD, W"):
+        run(benchmark(**settings), tmp_path / "out")
+    assert {one.name for one in (tmp_path / "out").iterdir()} == {"recipe.json", "log.txt"}
+
+
+def test_a_metric_of_ones_own_has_a_row_and_is_scored_in_every_run(tmp_path, monkeypatch):
+    module = tmp_path / "own.py"
+    module.write_text("def far(prediction, target, pairs):\n    return (prediction - target).abs().mean((-2, -1))\n")
+    settings = {"quick": "true", "losses": f"rms,{module}:far"}
+
+    def scores():
+        run(benchmark(**settings), tmp_path / "out")
+        records = json.loads((tmp_path / "out" / "scores.json").read_text())
+        return {r["statistic"]: r["agreement"] for r in records if r["loss"] == "own.py:far"}
+
+    first = scores()
+    assert len(first) == 14 and first["majority"] > 0.6
+    assert {path.name for path in (tmp_path / "out" / "distances").iterdir()} == {"rms.npz"}
+    module.write_text("def far(prediction, target, pairs):\n    return -(prediction - target).abs().mean((-2, -1))\n")
+    assert scores()["majority"] == pytest.approx(1 - first["majority"])

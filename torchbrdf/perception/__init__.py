@@ -1,5 +1,7 @@
 """What people answered elsewhere about how alike materials look, and how well a loss predicts it."""
 
+from torchbrdf.perception.agreement.leaderboard import distances_of, score
+from torchbrdf.perception.agreement.metrics import CallableMetric, as_metric, find_metric, metric_label
 from torchbrdf.perception.agreement.scores import (
     METHODS,
     BenchmarkData,
@@ -22,6 +24,7 @@ __all__ = [
     "FACTORS",
     "METHODS",
     "BenchmarkData",
+    "CallableMetric",
     "Distances",
     "EvaluatedBrdfs",
     "FactorFits",
@@ -30,14 +33,19 @@ __all__ = [
     "PublishedFits",
     "Table",
     "Triplets",
+    "as_metric",
     "distances",
+    "distances_of",
     "evaluate_brdfs",
+    "find_metric",
+    "metric_label",
     "read_benchmark_data",
     "read_factors",
     "read_lagunas",
     "read_opinions",
     "read_published",
     "read_triplets",
+    "score",
     "score_opinions",
     "score_triplets",
     "statistics_of",

@@ -1,6 +1,6 @@
 """report.html of losses scored against human answers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,8 @@ import numpy as np
 from torchbrdf.experiment.labels import caveat, loss_label
 from torchbrdf.files import write_text
 from torchbrdf.losses import LearnedLoss
-from torchbrdf.perception import FACTORS, BenchmarkData, Table
-from torchbrdf.perception.agreement.table import LABELS, LEFT_OUT, ODD_METHOD
+from torchbrdf.perception import BenchmarkData, Table
+from torchbrdf.perception.agreement.table import CLOSE_METHOD, HEADS, LABELS, ODD_METHOD, span
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.embed import embed_png, template
 from torchbrdf.report.style import COLORS, new_figure
@@ -21,17 +21,13 @@ from torchbrdf.report.tables import Table as PageTable
 TITLE = "Which BRDF metric agrees with people?"
 RIVALS = ("cube_root", "compressed")
 THEIRS = "lagunas_"
+NO_BREAK = "\u00a0"
 _THEIRS = {
     "lagunas_rms": "Lagunas' RMS",
     "lagunas_rms_cos": "Lagunas' cosine RMS",
     "lagunas_rms_cos_cube": "Lagunas' cube root",
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
-}
-_ADDED = {
-    FACTORS: "a non-parametric fit, so close to its material that stand-ins of measured tables differ from them by as "
-    "much; on stand-ins its own comparisons across materials come out near chance for that reason.",
-    ODD_METHOD: "the pictures of its published parameters disagree with what people saw, which shows in every loss.",
 }
 
 
@@ -69,9 +65,8 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
         approximated=len(set(opinions.materials)),
         methods=list(dict.fromkeys(opinions.methods)),
         without=data.left_out,
-        apart=[method for method in LEFT_OUT if method in opinions.methods],
-        factors=FACTORS,
-        odd=ODD_METHOD,
+        close=CLOSE_METHOD if CLOSE_METHOD in opinions.methods else "",
+        odd=ODD_METHOD if ODD_METHOD in opinions.methods else "",
         record=(folder / "recipe.json").read_text(encoding="utf-8"),
     )
     path = folder / "report.html"
@@ -90,7 +85,7 @@ def findings(table: Table) -> list[str]:
     own = [k for k, name in enumerate(table.losses) if not name.startswith(THEIRS)]
     for s, one in enumerate(table.statistics):
         known = [k for k in own if bool(table.value[k, s].isfinite())]
-        if not known or one.added:
+        if not known or one.variant:
             continue
         best = max(known, key=lambda k: float(table.value[k, s]))
         limit = "" if one.ceiling is None else f"; people's own disagreement lets nothing pass {table.ceiling[s]:.3f}"
@@ -113,8 +108,8 @@ def trained(table: Table) -> list[str]:
     shares = [f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})" for name, (share, low, high) in known.items()]
     return [
         "The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
-        f"{FACTORS} too: here it is asked about what it may have seen. On halves of the materials that it did not see: "
-        f"{'; '.join(shares)}. Train one with torchbrdf run train_metric."
+        f"{CLOSE_METHOD} too: here it is asked about what it may have seen. On halves of the materials that it did "
+        f"not see: {'; '.join(shares)}. Train one with torchbrdf run train_metric."
     ]
 
 
@@ -154,31 +149,38 @@ def _wrapped(text: str) -> str:
 
 
 def _agreement_tables(scores: Table) -> list[PageTable]:
-    """Agreement with intervals and the ceilings; the columns with each added method in a table of their own."""
+    """Agreement with intervals and the ceilings; then a table for each column whose methods can differ."""
     note = (
         "Share of comparisons that a loss orders as people do, with its 95 % interval over materials; 0.5 is chance. "
         "Bold: the best. In the head: how many comparisons. Ceiling: what disagreement between people lets anything "
         "reach."
     )
-    tables = [_agreement_table(scores, "Agreement with people", note, _columns(scores))]
-    for method in dict.fromkeys(one.added for one in scores.statistics if one.added):
-        note = f"As in the first table, with {method}" + (f": {_ADDED[method]}" if method in _ADDED else ".")
-        tables.append(_agreement_table(scores, f"With {method}", note, _columns(scores, method)))
+    main = _columns(scores)
+    labels = {s: scores.statistics[s].label for s in main}
+    tables = [_agreement_table(scores, "Agreement with people", note, labels)]
+    for s in main:
+        own = scores.statistics[s]
+        varied = {k: one.variant for k, one in enumerate(scores.statistics) if one.main == own.key and one.variant}
+        if varied:
+            note = (
+                f"The column of the first table, {own.label}, and what it is without one of its methods, or with one "
+                "that it leaves out."
+            )
+            title = f"Methods left out: {HEADS[own.key]}"
+            tables.append(_agreement_table(scores, title, note, {s: "as above", **varied}))
     return tables
 
 
-def _columns(scores: Table, added: str = "") -> list[int]:
-    """The main columns, or those with one method added."""
-    return [s for s, one in enumerate(scores.statistics) if one.added == added]
+def _columns(scores: Table) -> list[int]:
+    """The main columns."""
+    return [s for s, one in enumerate(scores.statistics) if not one.variant]
 
 
-def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int]) -> PageTable:
-    """Agreement of each loss, and the ceiling in the last row, which is no rival."""
+def _agreement_table(scores: Table, title: str, note: str, heads: Mapping[int, str]) -> PageTable:
+    """Agreement of each loss by some columns, and the ceiling in the last row, which is no rival."""
     ceiling = len(scores.losses)
 
     def agreement_column(s: int) -> Column[int]:
-        one = scores.statistics[s]
-
         def value(row: int) -> Sequence[Any]:
             if row == ceiling:
                 return scores.ceiling[s], scores.ceiling_low[s], scores.ceiling_high[s]
@@ -186,20 +188,19 @@ def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int
 
         best = scores.value[:, s].nan_to_num(-1).max()
         return Column(
-            f"{one.label} ({one.count:,})",
+            f"{heads[s]} ({scores.statistics[s].count:,})",
             value,
-            lambda found: _span(*found),
+            lambda found: _unbroken(*found),
             bold=lambda row: row != ceiling and bool(scores.value[row, s] == best),
         )
 
-    rows = [k for k in range(ceiling) if bool(scores.value[k, list(columns)].isfinite().any())]
+    rows = [k for k in range(ceiling) if bool(scores.value[k, list(heads)].isfinite().any())]
     head = Column[int]("loss", lambda row: "ceiling: people" if row == ceiling else label(scores.losses[row]))
-    return table(title, note, [*rows, ceiling], [head, *map(agreement_column, columns)])
+    return table(title, note, [*rows, ceiling], [head, *map(agreement_column, heads)])
 
 
 def _difference_table(scores: Table, rival: str) -> PageTable:
     """How much more often each loss agrees with people than one of them."""
-    close = [s for s in _columns(scores, FACTORS) if not scores.statistics[s].key.startswith("across")]
     rows = [name for name in scores.losses if name != rival and not name.startswith(THEIRS)]
     found = {name: scores.difference(name, rival) for name in rows}
 
@@ -207,7 +208,7 @@ def _difference_table(scores: Table, rival: str) -> PageTable:
         return Column(
             scores.statistics[s].label,
             lambda name: [part[s] for part in found[name]],
-            lambda own: _span(own[0], own[1], own[2], "+"),
+            lambda own: _unbroken(*own, sign="+"),
             bold=lambda name: bool(found[name][1][s] > 0),
         )
 
@@ -215,13 +216,11 @@ def _difference_table(scores: Table, rival: str) -> PageTable:
         f"Agreement minus that of {label(rival)}, with the paired 95 % interval: both see the same drawn materials. "
         "Bold: all of the interval is above 0."
     )
-    columns = [Column("loss", label), *map(difference, [*_columns(scores), *close])]
+    columns = [Column("loss", label), *map(difference, _columns(scores))]
     return table(f"Better than {label(rival)}?", note, rows, columns)
 
 
-def _span(value: Any, low: Any, high: Any, sign: str = "") -> str:
-    if not np.isfinite(float(value)):
-        return "none"
-    # In tables of differences, which are wide, a line may end before the interval.
-    gap, inside = " " if sign else "&", f"({float(low):{sign}.3f}&to&{float(high):{sign}.3f})"
-    return f"{float(value):{sign}.3f}{gap}{inside}".replace("&", "\u00a0")
+def _unbroken(value: Any, low: Any, high: Any, *, sign: str = "") -> str:
+    """A share and its interval in one line; in tables of differences, which are wide, in one or two."""
+    first, *interval = span(value, low, high, sign=sign).split(" ", 1)
+    return (" " if sign else NO_BREAK).join([first, *(part.replace(" ", NO_BREAK) for part in interval)])

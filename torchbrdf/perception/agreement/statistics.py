@@ -3,13 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
+from scipy.special import betainc, betaln
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
 
+# Of the logarithm of what single answers are spread by, in `majority_of_people`.
+_SPREADS = (-4.0, 6.0)
 # Bytes of the weights of bootstrap replicates that are held at once.
 _HELD = 2**26
 
@@ -114,6 +119,25 @@ def across_materials(opinions: Opinions) -> DistanceComparisons:
     first, second = _pairs(method)
     keep = opinions.distance[first] != opinions.distance[second]
     return _rows(opinions, first[keep], second[keep], material, method)
+
+
+def majority_of_people(triplets: Triplets) -> Tensor:
+    """What a predictor that knows what most people would say would get of `majorities`, `(1, C)`.
+
+    A question's few votes may have gone against what most people would say. With shares of people drawn from a
+    symmetric beta distribution, whose one parameter makes the votes of all questions likeliest, it is right about a
+    question with the probability that, after its votes, the larger vote is the larger share.
+    """
+    a, b = triplets.votes.double().numpy().T
+
+    def cost(logarithm: float) -> float:
+        spread = np.exp(logarithm)
+        return float((betaln(spread, spread) - betaln(a + spread, b + spread)).sum())
+
+    spread = np.exp(minimize_scalar(cost, bounds=_SPREADS, method="bounded").x)
+    decided = a != b
+    more, less = (np.where(a > b, *part)[decided] for part in ((a, b), (b, a)))
+    return torch.from_numpy(betainc(less + spread, more + spread, 0.5))[None]
 
 
 def majority_of_votes(triplets: Triplets) -> Tensor:

@@ -1,8 +1,10 @@
 """Opinions: how far people find approximations from the material that they approximate."""
 
 import csv
+import difflib
 import io
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,8 +63,12 @@ class Opinions:
         )
 
 
-def read_opinions(path: Path | str) -> Opinions:
+def read_opinions(path: Path | str, materials: Collection[str] | None = None) -> Opinions:
     """Read mean opinions from a CSV file with the columns method, material, distance.
+
+    Args:
+        path: The file.
+        materials: Names that a material may have; by default any.
 
     Raises:
         DataError: The file is missing, or a line is not as expected.
@@ -88,6 +94,9 @@ def read_opinions(path: Path | str) -> Opinions:
             found = shown(",".join(row))
             raise DataError(f"{path}: line {line}: expected a method, a material and a distance, found {found}")
         method, material = (check_name(name, f"{path}: line {line}") for name in row[:2])
+        if materials is not None and material not in materials:
+            raise DataError(f"{path}: line {line}: expected one of {len(materials)} materials, found "
+                            f"{shown(material)}{near(material, materials)}")  # fmt: skip
         value = _number(row[2])
         if not 0 <= value <= 1:
             raise DataError(f"{path}: line {line}: expected a distance from 0 to 1, found {shown(row[2])}")
@@ -97,6 +106,17 @@ def read_opinions(path: Path | str) -> Opinions:
         distance.append(value)
     methods, materials = map(list, zip(*lines, strict=True))
     return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64, device="cpu"))
+
+
+def near(name: str, known: Collection[str]) -> str:
+    """The end of a message about an unknown name: the nearest known one, if any is near.
+
+    Example:
+        >>> near("nickle", ["brass", "nickel"])
+        "; did you mean 'nickel'?"
+    """
+    found = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def _number(text: str) -> float:
