@@ -1,6 +1,6 @@
 """Losses scored against what people answered: how often each agrees with them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from torchbrdf.errors import UsageError
@@ -8,8 +8,23 @@ from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark, write_scores
 from torchbrdf.experiment.settings import ANGLES
 from torchbrdf.losses import LOSSES
-from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
+from torchbrdf.measured import MERL_NAMES, load
+from torchbrdf.pairs import Pairs
+from torchbrdf.perception import (
+    Appearance,
+    BenchmarkData,
+    JodTable,
+    compare_appearance,
+    metric_label,
+    read_jod,
+    read_ratings,
+    score_jod,
+    statistics_of,
+    tabulate,
+    uniform_pairs,
+)
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+from torchbrdf.reading import exists
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, sphere
 from torchbrdf.report import HumanPage, write_human_report
@@ -33,6 +48,18 @@ class HumanBenchmark(HumanAnswersRecipe):
     size: int = field(default=64, metadata={"help": "pixels of a side of the pictures", "low": 16, "high": 512})
     max_theta: float = field(
         default=80.0, metadata={"help": "only pairs with both directions below this angle", **ANGLES}
+    )
+
+    ratings: str = field(
+        default="serrano2016_mean_ratings.csv",
+        metadata={"help": "how glossy and so on people find the materials, a file in `human`; none: left out"},
+    )
+    jod: str = field(
+        default="kavoosighafi2025_jod_train.csv",
+        metadata={"help": "JOD scores of approximations, a file in `human`; none: left out"},
+    )
+    jod_tables: str = field(
+        default="", metadata={"help": "a folder with the tables of these approximations, such as aluminium_1.binary"}
     )
 
     def __post_init__(self) -> None:
@@ -61,6 +88,7 @@ class HumanBenchmark(HumanAnswersRecipe):
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         write_scores(folder.path, table)
+        appearance, jod = (None, None) if self.quick else self.read_others(data, pairs, replicates)
         said = HumanPage(
             synthetic=self.quick,
             stand_in=data.stand_in,
@@ -69,5 +97,35 @@ class HumanBenchmark(HumanAnswersRecipe):
             pairs=len(pairs),
             max_theta=self.max_theta,
             replicates=replicates,
+            appearance=appearance,
+            jod=jod,
         )
         return write_human_report(folder.path, table, data, said)
+
+    def read_others(
+        self, data: BenchmarkData, pairs: Pairs, replicates: int
+    ) -> tuple[Appearance | None, JodTable | None]:
+        """What other studies asked, where there are their answers: ratings, and JOD scores."""
+        human, appearance, jod = Path(self.human), None, None
+        if self._wanted("ratings"):
+            ratings = read_ratings(human / self.ratings, MERL_NAMES)
+            appearance = compare_appearance(data.measured, ratings, replicates, self.seed, pairs)
+        if self._wanted("jod"):
+            scores = read_jod(human / self.jod)
+            metrics, tables = (self.losses or LOSSES, load(self.jod_tables)) if self.jod_tables else ((), None)
+            jod = score_jod(
+                scores,
+                {metric_label(text): text for text in metrics} or None,
+                tables,
+                data.measured,
+                pairs=pairs,
+                replicates=replicates,
+                seed=self.seed,
+            )
+        return appearance, jod
+
+    def _wanted(self, key: str) -> bool:
+        """Whether to read a file: it is there, or was asked for by another name than the default."""
+        name = getattr(self, key)
+        default = next(one.default for one in fields(self) if one.name == key)
+        return name.lower() not in ("", "none") and (name != default or exists(Path(self.human) / name))

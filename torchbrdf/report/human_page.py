@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 
 from torchbrdf.experiment.labels import caveat, loss_label
-from torchbrdf.files import write_text
+from torchbrdf.files import write_csv, write_text
 from torchbrdf.losses import LearnedLoss
-from torchbrdf.perception import BenchmarkData, Table
+from torchbrdf.perception import Appearance, BenchmarkData, JodTable, Table
+from torchbrdf.perception.agreement.appearance import LABELS as MEASURED_LABELS
+from torchbrdf.perception.agreement.jod import PICTURES
 from torchbrdf.perception.agreement.table import CLOSE_METHOD, HEADS, LABELS, ODD_METHOD, span
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.people_figures import appearance_figure, attribute_label, jod_figure
 from torchbrdf.report.style import COLORS, new_figure
 from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
@@ -42,6 +45,8 @@ class HumanPage:
     pairs: int
     max_theta: float
     replicates: int
+    appearance: Appearance | None = None
+    jod: JodTable | None = None
 
 
 def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: HumanPage) -> Path:
@@ -49,6 +54,7 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
     figure = folder / "figures" / "agreement.png"
     agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.synthetic else ""))
     opinions, triplets = data.opinions, data.triplets
+    gloss, jod = _other_figures(folder / "figures", said, caveat(said.stand_in))
     page = template("human.html").render(
         title=TITLE,
         said=said,
@@ -58,6 +64,10 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),
         ],
+        gloss=gloss,
+        gloss_table=said.appearance and [_appearance_table(said.appearance)],
+        jod=jod,
+        jod_table=said.jod and [_jod_table(said.jod)],
         questions=f"{len(triplets):,}",
         ties=f"{int((~triplets.decided).sum()):,}",
         materials=len(triplets.materials),
@@ -71,7 +81,74 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
     )
     path = folder / "report.html"
     write_text(path, page)
+    for name, records in (
+        ("appearance", said.appearance and said.appearance.records()),
+        ("jod", said.jod and said.jod.table.records()),
+    ):
+        if records:
+            write_csv(folder / f"{name}.csv", records)
     return path
+
+
+def _other_figures(folder: Path, said: HumanPage, mark: str) -> tuple[str, str]:
+    """Figures of ratings and of JOD scores, to be embedded; empty where there are none."""
+    gloss, jod = folder / "appearance.png", folder / "jod.png"
+    if said.appearance:
+        appearance_figure(gloss, said.appearance, mark)
+    if said.jod:
+        jod_figure(jod, said.jod.scores)
+    return embed_png(gloss) if said.appearance else "", embed_png(jod) if said.jod else ""
+
+
+def _appearance_table(found: Appearance) -> PageTable:
+    """Rank correlations of what is measured with every attribute."""
+    rows = range(len(found.ratings.attributes))
+    names = list(found.measured)
+
+    def correlation(s: int) -> Column[int]:
+        def value(row: int) -> Sequence[Any]:
+            return found.correlation[s, row], found.low[s, row], found.high[s, row]
+
+        return Column(
+            MEASURED_LABELS[names[s]], value, lambda own: _unbroken(*own, sign="+"), max, "strength", _strength
+        )
+
+    columns = [
+        Column[int]("people: how", lambda row: attribute_label(found.ratings.attributes[row])),
+        *map(correlation, range(len(names))),
+        Column[int]("all together", lambda row: found.correlation[-1, row], "+.3f"),
+        Column[int]("ceiling: people", lambda row: found.ceiling[row], ".3f"),
+    ]
+    note = (
+        f"Spearman's rank correlation over {len(found.materials)} materials, with its 95 % interval over materials. "
+        "Bold: the strongest. All together: ranks predicted from all of them, each material from the others. Ceiling: "
+        "what the noise of mean ratings lets anything reach."
+    )
+    return table("Gloss and what people call it", note, rows, columns)
+
+
+def _strength(found: Sequence[Any]) -> float:
+    return abs(float(found[0]))
+
+
+def _jod_table(found: JodTable) -> PageTable:
+    """Agreement with JOD scores."""
+    scores = found.table
+
+    def agreement(s: int) -> Column[int]:
+        one = scores.statistics[s]
+        return Column(
+            f"{one.label} ({one.count:,})",
+            lambda row: (scores.value[row, s], scores.low[row, s], scores.high[row, s]),
+            lambda own: _unbroken(*own),
+        )
+
+    def name(row: int) -> str:
+        return "ΔE of the study's pictures" if scores.losses[row] == PICTURES else label(scores.losses[row])
+
+    note = "Share of comparisons ordered as people do, with its 95 % interval over materials; 0.5 is chance."
+    columns = [Column[int]("what", name), *map(agreement, range(len(scores.statistics)))]
+    return table("JOD scores", note, range(len(scores.losses)), columns)
 
 
 def label(name: str) -> str:
