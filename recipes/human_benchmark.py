@@ -11,6 +11,7 @@ from torchbrdf.losses import LOSSES
 from torchbrdf.measured import MERL_NAMES, load
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import (
+    FORMULAS,
     Appearance,
     BenchmarkData,
     JodTable,
@@ -77,7 +78,7 @@ class HumanBenchmark(HumanAnswersRecipe):
         data = synthetic_benchmark(seed=self.seed) if self.quick else self.read_benchmark_data()
         pairs = uniform_pairs(samples, self.max_theta, self.seed)
         benchmark = Benchmark(folder, data)
-        benchmark.score_values(self.losses or LOSSES, pairs)
+        benchmark.score_values(self._metrics(), pairs)
         if self.images:
             scene = Scene(sphere(), Camera(), Environment.default(), size=size, cache=folder.path / "cache")
             benchmark.score_pictures(self.differences, scene)
@@ -112,7 +113,7 @@ class HumanBenchmark(HumanAnswersRecipe):
             appearance = compare_appearance(data.measured, ratings, replicates, self.seed, pairs)
         if self._wanted("jod"):
             scores = read_jod(human / self.jod)
-            metrics, tables = (self.losses or LOSSES, load(self.jod_tables)) if self.jod_tables else ((), None)
+            metrics, tables = (self._metrics(), load(self.jod_tables)) if self.jod_tables else ((), None)
             jod = score_jod(
                 scores,
                 {metric_label(text): text for text in metrics} or None,
@@ -123,6 +124,9 @@ class HumanBenchmark(HumanAnswersRecipe):
                 seed=self.seed,
             )
         return appearance, jod
+
+    def _metrics(self) -> tuple[str, ...]:
+        return self.losses or (*LOSSES, *FORMULAS)
 
     def _wanted(self, key: str) -> bool:
         """Whether to read a file: it is there, or was asked for by another name than the default."""

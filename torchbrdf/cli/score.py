@@ -92,11 +92,11 @@ def command(options: Options) -> int:
 def _metrics(options: Options) -> "dict[str, Loss]":
     """The metrics that are asked for, by their names in the table."""
     from torchbrdf.losses import LOSSES
-    from torchbrdf.perception import find_metric, metric_label
+    from torchbrdf.perception import FORMULAS, find_metric, metric_label
     from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, sphere
 
     found: dict[str, Loss] = {}
-    for text in options.metric or ([] if options.difference else LOSSES):
+    for text in options.metric or ([] if options.difference else (*LOSSES, *FORMULAS)):
         if metric_label(text) in found:
             raise UsageError(f"score: --metric: expected {metric_label(text)} once, found twice")
         found[metric_label(text)] = find_metric(text)

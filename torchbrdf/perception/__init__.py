@@ -3,7 +3,7 @@
 from torchbrdf.perception.agreement.appearance import Appearance, compare_appearance, gloss_term
 from torchbrdf.perception.agreement.jod import JodTable, score_jod
 from torchbrdf.perception.agreement.leaderboard import distances_of, score
-from torchbrdf.perception.agreement.metrics import CallableMetric, as_metric, find_metric, metric_label
+from torchbrdf.perception.agreement.metrics import FORMULAS, CallableMetric, as_metric, find_metric, metric_label
 from torchbrdf.perception.agreement.scores import (
     METHODS,
     BenchmarkData,
@@ -26,6 +26,7 @@ from torchbrdf.perception.directions import uniform_pairs
 
 __all__ = [
     "FACTORS",
+    "FORMULAS",
     "METHODS",
     "Appearance",
     "BenchmarkData",

@@ -181,12 +181,17 @@ def trained(table: Table) -> list[str]:
     """What has to be said of a metric that these answers may have trained."""
     if "learned" not in table.losses:
         return []
-    known = LearnedLoss().provenance["held_out"]
-    shares = [f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})" for name, (share, low, high) in known.items()]
+    known = LearnedLoss().provenance.get("held_out", {})
+    shares = [
+        f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})"
+        for name, (share, low, high) in known.items()
+        if name in LABELS
+    ]
+    unseen = f" On halves of the materials that it did not see: {'; '.join(shares)}." if shares else ""
     return [
         "The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
-        f"{CLOSE_METHOD} too: here it is asked about what it may have seen. On halves of the materials that it did "
-        f"not see: {'; '.join(shares)}. Train one with torchbrdf run train_metric."
+        f"{CLOSE_METHOD} too: here it is asked about what it may have seen.{unseen} Train one with torchbrdf run "
+        "train_metric."
     ]
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchbrdf.bootstrap import percentile_interval
 from torchbrdf.color import luminance
 from torchbrdf.errors import DataError
-from torchbrdf.losses.learned import soft_bins
+from torchbrdf.losses.learned import LearnedLoss, gloss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.pairs import Pairs
@@ -26,8 +26,6 @@ LABELS = {
 }
 """What is measured of a material, in words."""
 TOGETHER = "together"
-# Of luminance times cosines, as the learned metric has it.
-_FLOOR = 3e-4
 _LEAST = 8
 
 
@@ -74,8 +72,8 @@ class Appearance:
 def gloss_term(measured: Measured, lobe: int = 0, pairs: Pairs | None = None) -> Tensor:
     """The gloss that the learned metric compares: log luminance of the lobe over that of the body.
 
-    Luminance times cosines is averaged in the soft bins of theta_h and theta_d; of the averages near the mirror
-    direction and far from it (theta_h 70 degrees) the difference of logarithms counts, for theta_d of 15 and 45.
+    Luminance times cosines is averaged in the soft bins of `LearnedLoss`; of the averages near the mirror direction and
+    far from it (theta_h 70 degrees) the difference of logarithms counts, for theta_d of 15 and 45 degrees.
 
     Args:
         measured: K materials.
@@ -86,12 +84,9 @@ def gloss_term(measured: Measured, lobe: int = 0, pairs: Pairs | None = None) ->
         `(K,)`, float64.
     """
     pairs = uniform_pairs() if pairs is None else pairs
-    cosines = pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0)
-    light = luminance(measured.at(pairs).double().clamp_min(0)) * cosines
-    inside = soft_bins(pairs)
-    means = ((light @ inside) / inside.sum(0)).unflatten(-1, (-1, 3))
-    logarithm = (means + _FLOOR).log()
-    return (logarithm[:, lobe] - logarithm[:, -1])[:, :2].mean(-1)
+    loss, values = LearnedLoss("none"), measured.at(pairs)
+    encoded = loss.encoded(values, pairs, loss.comparison(pairs, None, values))
+    return gloss(encoded.luminance)[:, lobe].mean(-1)
 
 
 def compare_appearance(

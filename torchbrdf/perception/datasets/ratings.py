@@ -125,8 +125,8 @@ def read_ratings(path: Path | str, materials: Collection[str] | None = None) -> 
         spread = HIGHEST - LOWEST
         deviations = [number(cells[f"{own}_sd"], 0, spread, where, f"{own}: a deviation") for own in attributes]
         numbers.append([float(people), *means, *deviations])
-    found = torch.tensor(numbers, dtype=torch.float64, device="cpu")
-    count, mean, deviation = found.split([1, len(attributes), len(attributes)], 1)
+    table = torch.tensor(numbers, dtype=torch.float64, device="cpu")
+    counts, mean, deviation = table.split([1, len(attributes), len(attributes)], 1)
     named = [check_name(name.removesuffix(MEASURED), f"{path}: line {line}") for name, line in lines.items()]
     measured = [name.endswith(MEASURED) for name in lines]
-    return Ratings(named, measured, attributes, mean, deviation, count[:, 0].long())
+    return Ratings(named, measured, attributes, mean, deviation, counts[:, 0].long())
