@@ -77,6 +77,7 @@ class HumanBenchmark(HumanAnswersRecipe):
             samples, replicates, size = 500, min(replicates, 200), min(size, 24)
         data = synthetic_benchmark(seed=self.seed) if self.quick else self.read_benchmark_data()
         pairs = uniform_pairs(samples, self.max_theta, self.seed)
+        appearance, jod = (None, None) if self.quick else self.read_others(data, pairs, replicates)
         benchmark = Benchmark(folder, data)
         benchmark.score_values(self._metrics(), pairs)
         if self.images:
@@ -89,7 +90,6 @@ class HumanBenchmark(HumanAnswersRecipe):
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         write_scores(folder.path, table)
-        appearance, jod = (None, None) if self.quick else self.read_others(data, pairs, replicates)
         said = HumanPage(
             synthetic=self.quick,
             stand_in=data.stand_in,

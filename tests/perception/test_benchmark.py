@@ -196,6 +196,49 @@ def test_opinions_about_unknown_materials_or_only_unknown_methods_are_refused(tm
     assert {one.name for one in (tmp_path / "out").iterdir()} == {"recipe.json", "log.txt"}
 
 
+def test_gloss_and_jod_have_their_parts_where_there_are_answers(tmp_path):
+    settings = study(tmp_path)
+    report = run(benchmark(**settings), tmp_path / "without")
+    assert "Gloss against people" not in report.read_text() and "JOD scores" not in report.read_text()
+    names = sorted(MERL_NAMES)[:20]
+    source = np.random.default_rng(0)
+    records = [
+        FitRecord(name, "ward", 1, parameters(Sum(Lambert(), Ward(roughness=float(source.uniform(0.05, 0.3))))))
+        for name in MERL_NAMES
+    ]
+    write_fits(tmp_path / "materials.json", records)
+    head = "image,n,glossy_mean,odd_mean,glossy_sd,odd_sd\n"
+    rows = [f"{name}_5PCs.png,9,{source.uniform(1, 5):.2f},3,0.5,0.5\n" for name in names]
+    (tmp_path / "serrano2016_mean_ratings.csv").write_text(head + "".join(rows))
+    scores = [
+        f"{name}_{k},{model},0,{source.uniform(1, 40)},{source.uniform(2, 10)},3\n"
+        for name in names[:3]
+        for k, model in enumerate(("ward", "ggx", "nbrdf"), 1)
+    ]
+    jod = "material,model,level,DeltaE,JOD,class\n" + "".join(scores)
+    (tmp_path / "kavoosighafi2025_jod_train.csv").write_text(jod)
+    out = tmp_path / "with"
+    page = run(benchmark(replicates="20", **settings), out).read_text()
+    assert "Gloss against people" in page and "<h3>JOD scores</h3>" in page and "no metric of BRDFs can be" in page
+    with (out / "appearance.csv").open(newline="") as file:
+        found = list(csv.DictReader(file))
+    assert len(found) == 12 and {row["attribute"] for row in found} == {"glossy", "odd"}
+    assert {row["materials"] for row in found} == {"20"}
+    approximations = [FitRecord(row.split(",")[0], "ward", 1, records[0].parameters) for row in scores[:5]]
+    write_fits(tmp_path / "tables.json", approximations)
+    more = {"jod_tables": str(tmp_path / "tables.json"), "ratings": "none"}
+    page = run(benchmark(replicates="20", **settings, **more), tmp_path / "tables").read_text()
+    assert "only those could be scored" in page and "Gloss against people" not in page
+    with (tmp_path / "tables" / "jod.csv").open(newline="") as file:
+        assert {row["loss"] for row in csv.DictReader(file)} == {"delta_e_of_the_study", "rms"}
+    (tmp_path / "kavoosighafi2025_jod_train.csv").write_text(jod.replace("ggx", "../x"))
+    with pytest.raises(DataError, match=r"kavoosighafi2025_jod_train\.csv: line 3: expected a name"):
+        run(benchmark(**settings), tmp_path / "bad")
+    assert not (tmp_path / "bad" / "report.html").exists() and not (tmp_path / "bad" / "scores.json").exists()
+    with pytest.raises(DataError, match="no such file; expected the mean ratings"):
+        run(benchmark(**settings, ratings="mine.csv", jod="none"), tmp_path / "none")
+
+
 def test_a_metric_of_ones_own_has_a_row_and_is_scored_in_every_run(tmp_path, monkeypatch):
     module = tmp_path / "own.py"
     module.write_text("def far(prediction, target, pairs):\n    return (prediction - target).abs().mean((-2, -1))\n")

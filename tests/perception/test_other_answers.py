@@ -1,6 +1,7 @@
 """JOD scores and ratings: what files hold, and what metrics and gloss are worth beside them."""
 
 import csv
+import itertools
 import math
 
 import numpy as np
@@ -17,6 +18,7 @@ from torchbrdf.perception import (
     find_metric,
     gloss_term,
     read_jod,
+    read_opinions,
     read_ratings,
     score_jod,
     uniform_pairs,
@@ -233,11 +235,34 @@ def test_too_few_rated_materials_are_refused(tmp_path):
         compare_appearance(measured, rated(tmp_path, names[:3], [1, 2, 3]))
 
 
+def _alike(data, scores):
+    """How often two studies order materials alike by what people think of fits of one model by different hands."""
+    opinions = read_opinions(data / "human" / "lavoue2021_distances_train.csv")
+    found = []
+    for model, method in (("ward", "WARD"), ("ward", "WARD-OURS"), ("ggx", "GGX")):
+        one, other = (
+            {
+                name: float(own)
+                for name, of, own in zip(rows.materials, rows.methods, rows.distance, strict=True)
+                if of == k
+            }
+            for rows, k in ((scores, model), (opinions, method))
+        )
+        signs = [
+            (one[a] - one[b]) * (other[a] - other[b]) > 0
+            for a, b in itertools.combinations(sorted(one.keys() & other.keys()), 2)
+            if other[a] != other[b]
+        ]
+        found.append(sum(signs) / len(signs))
+    return found
+
+
 def test_the_published_files_hold_what_they_say(data):
     scores = read_jod(data / "human" / "kavoosighafi2025_jod_train.csv")
     assert len(scores) == 99 and len(set(scores.materials)) == 11 and len(set(scores.methods)) == 9
     table = score_jod(scores, replicates=50).table
     assert table.value[0].tolist() == pytest.approx([0.843, 0.930, 0.806, 0.822], abs=5e-4)
+    assert _alike(data, scores) == pytest.approx([0.46, 0.44, 0.42], abs=0.005)  # no stand-ins for one another
     ratings = read_ratings(data / "human" / "serrano2016_mean_ratings.csv", MERL_NAMES)
     assert len(ratings) == 400 and sum(ratings.measured) == 94 and len(ratings.attributes) == 14
     with (data / "human" / "serrano2016_mean_ratings.csv").open(newline="") as file:

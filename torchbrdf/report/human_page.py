@@ -24,6 +24,8 @@ from torchbrdf.report.tables import Table as PageTable
 TITLE = "Which BRDF metric agrees with people?"
 RIVALS = ("cube_root", "compressed")
 THEIRS = "lagunas_"
+# Columns from which on the cells of a table may take two lines.
+WIDE = 5
 NO_BREAK = "\u00a0"
 _THEIRS = {
     "lagunas_rms": "Lagunas' RMS",
@@ -32,6 +34,7 @@ _THEIRS = {
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
 }
+_FORMULAS = {"learned_in_three": "learned, three of its constants"}
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def _appearance_table(found: Appearance) -> PageTable:
     columns = [
         Column[int]("people: how", lambda row: attribute_label(found.ratings.attributes[row])),
         *map(correlation, range(len(names))),
-        Column[int]("all together", lambda row: found.correlation[-1, row], "+.3f"),
+        Column[int]("all together", lambda row: found.correlation[-1, row], _signed),
         Column[int]("ceiling: people", lambda row: found.ceiling[row], ".3f"),
     ]
     note = (
@@ -125,6 +128,10 @@ def _appearance_table(found: Appearance) -> PageTable:
         "what the noise of mean ratings lets anything reach."
     )
     return table("Gloss and what people call it", note, rows, columns)
+
+
+def _signed(value: Any) -> str:
+    return f"{float(value):+.3f}" if np.isfinite(float(value)) else "none"
 
 
 def _strength(found: Sequence[Any]) -> float:
@@ -153,7 +160,7 @@ def _jod_table(found: JodTable) -> PageTable:
 
 def label(name: str) -> str:
     """A row's name for people."""
-    return _THEIRS.get(name) or loss_label(name)
+    return _THEIRS.get(name) or _FORMULAS.get(name) or loss_label(name)
 
 
 def findings(table: Table) -> list[str]:
@@ -198,16 +205,17 @@ def trained(table: Table) -> list[str]:
 def agreement_figure(path: Path, table: Table, mark: str) -> None:
     """A panel for each statistic: agreement of every loss with its interval, chance, and the ceiling."""
     shown = _columns(table)
-    rows = np.arange(len(table.losses))
+    rows, order = np.arange(len(table.losses)), table.ranked
     with new_figure(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
         panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for panel, s in zip(panels, shown, strict=True):
-            for k, name in enumerate(table.losses):
+            for row, k in enumerate(order):
                 value, low, high = (float(part[k, s]) for part in (table.value, table.low, table.high))
                 if np.isfinite(value):
+                    name = table.losses[k]
                     color = "#888888" if name.startswith(THEIRS) else COLORS.get(name, "#333333")
-                    panel.plot([low, high], [k, k], color=color, lw=2, alpha=0.6, solid_capstyle="butt")
-                    panel.plot(value, k, "o", color=color, ms=5)
+                    panel.plot([low, high], [row, row], color=color, lw=2, alpha=0.6, solid_capstyle="butt")
+                    panel.plot(value, row, "o", color=color, ms=5)
             panel.axvline(0.5, color="grey", lw=0.8, ls=":")
             if table.statistics[s].ceiling is not None:
                 panel.axvspan(
@@ -216,7 +224,7 @@ def agreement_figure(path: Path, table: Table, mark: str) -> None:
                 panel.axvline(float(table.ceiling[s]), color="#9c3d00", lw=1.2, ls="--")
             panel.set_title(_wrapped(table.statistics[s].label), fontsize=8)
             panel.set_xlabel("agreement")
-        panels[0].set_yticks(rows, [label(name) for name in table.losses])
+        panels[0].set_yticks(rows, [label(table.losses[k]) for k in order])
         panels[0].invert_yaxis()
 
 
@@ -272,11 +280,11 @@ def _agreement_table(scores: Table, title: str, note: str, heads: Mapping[int, s
         return Column(
             f"{heads[s]} ({scores.statistics[s].count:,})",
             value,
-            lambda found: _unbroken(*found),
+            lambda found: _unbroken(*found, wide=len(heads) > WIDE),
             bold=lambda row: row != ceiling and bool(scores.value[row, s] == best),
         )
 
-    rows = [k for k in range(ceiling) if bool(scores.value[k, list(heads)].isfinite().any())]
+    rows = [k for k in scores.ranked if bool(scores.value[k, list(heads)].isfinite().any())]
     head = Column[int]("loss", lambda row: "ceiling: people" if row == ceiling else label(scores.losses[row]))
     return table(title, note, [*rows, ceiling], [head, *map(agreement_column, heads)])
 
@@ -302,7 +310,7 @@ def _difference_table(scores: Table, rival: str) -> PageTable:
     return table(f"Better than {label(rival)}?", note, rows, columns)
 
 
-def _unbroken(value: Any, low: Any, high: Any, *, sign: str = "") -> str:
-    """A share and its interval in one line; in tables of differences, which are wide, in one or two."""
+def _unbroken(value: Any, low: Any, high: Any, *, sign: str = "", wide: bool = False) -> str:
+    """A share and its interval in one line; in tables that are wide, or of differences, in one or two."""
     first, *interval = span(value, low, high, sign=sign).split(" ", 1)
-    return (" " if sign else NO_BREAK).join([first, *(part.replace(" ", NO_BREAK) for part in interval)])
+    return (" " if sign or wide else NO_BREAK).join([first, *(part.replace(" ", NO_BREAK) for part in interval)])

@@ -124,18 +124,22 @@ def compare_appearance(
     ends = percentile_interval(_correlations(x[drawn], y[drawn]).flatten(1)).reshape(x.shape[1], y.shape[1], 2)
     plain = _correlations(x[None], y[None])[0]
     spread = own.mean.var(0, correction=1)
-    reliability = (1 - own.standard_error.square().mean(0) / spread).clamp(0, 1)
+    reliability = (1 - own.standard_error.square().mean(0) / spread).nan_to_num(0).clamp(0, 1)
     return Appearance(
         names, found, own, torch.cat([plain, _predicted(x, y)]), ends[..., 0], ends[..., 1], reliability.sqrt()
     )
 
 
 def _correlations(x: np.ndarray, y: np.ndarray) -> Tensor:
-    """Spearman's rank correlations of each column of `(B, K, S)` with each of `(B, K, A)`, `(B, S, A)`."""
+    """Spearman's rank correlations of each column of `(B, K, S)` with each of `(B, K, A)`, `(B, S, A)`.
+
+    One of a column whose entries are all the same is nan.
+    """
     one, other = (rankdata(values, axis=1) for values in (x, y))
     one, other = (ranks - ranks.mean(1, keepdims=True) for ranks in (one, other))
     lengths = np.sqrt((one**2).sum(1)[:, :, None] * (other**2).sum(1)[:, None])
-    return torch.from_numpy(np.einsum("bks,bka->bsa", one, other) / lengths)
+    products = np.einsum("bks,bka->bsa", one, other)
+    return torch.from_numpy(np.divide(products, lengths, out=np.full_like(lengths, np.nan), where=lengths > 0))
 
 
 def _predicted(x: np.ndarray, y: np.ndarray) -> Tensor:

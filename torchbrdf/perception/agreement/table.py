@@ -91,13 +91,18 @@ class Table:
         ends = percentile_interval((self.replicates[:, :, one] - self.replicates[:, :, two]).T)
         return self.value[one] - self.value[two], ends[:, 0], ends[:, 1]
 
+    @property
+    def ranked(self) -> list[int]:
+        """Places of the losses, the best first by the first statistic that they have."""
+        return sorted(range(len(self.losses)), key=lambda k: self.value[k].nan_to_num(-1).tolist(), reverse=True)
+
     def text(self) -> str:
-        """The main columns as lines to print: agreement with its interval, and the ceilings below."""
+        """The main columns as lines to print, the best first: agreement with its interval, and the ceilings below."""
         shown = [s for s, one in enumerate(self.statistics) if not one.variant]
         rows = [["", *(f"{HEADS[self.statistics[s].key]} ({self.statistics[s].count:,})" for s in shown)]]
         rows += [
-            [name, *(span(self.value[k, s], self.low[k, s], self.high[k, s]) for s in shown)]
-            for k, name in enumerate(self.losses)
+            [self.losses[k], *(span(self.value[k, s], self.low[k, s], self.high[k, s]) for s in shown)]
+            for k in self.ranked
         ]
         ends = (self.ceiling, self.ceiling_low, self.ceiling_high)
         rows.append(["ceiling: people", *(span(*(part[s] for part in ends)) for s in shown)])
