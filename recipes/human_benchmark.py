@@ -6,6 +6,8 @@ from pathlib import Path
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark, write_scores
+from torchbrdf.experiment.discrimination import calibrate_metrics
+from torchbrdf.experiment.metric_training import PUBLISHED
 from torchbrdf.experiment.settings import ANGLES
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import MERL_NAMES, load
@@ -24,7 +26,7 @@ from torchbrdf.perception import (
     tabulate,
     uniform_pairs,
 )
-from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
 from torchbrdf.reading import exists
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.render import Camera, Environment, Scene, sphere
@@ -90,6 +92,13 @@ class HumanBenchmark(HumanAnswersRecipe):
         statistics = statistics_of(data.triplets, data.opinions)
         table = tabulate(statistics, benchmark.distances, replicates, self.seed)
         write_scores(folder.path, table)
+        facts = {
+            "answers": SYNTHETIC if self.quick else PUBLISHED,
+            "tables": "stand-ins for measured tables" if data.stand_in else "measured",
+            "values": f"at {samples} pairs",
+            "pictures": f"of a sphere in the bundled light, {size} x {size} pixels" if self.images else "none",
+        }
+        calibrated = calibrate_metrics(folder, data, benchmark.distances, facts, replicates, self.seed)
         said = HumanPage(
             synthetic=self.quick,
             stand_in=data.stand_in,
@@ -101,7 +110,7 @@ class HumanBenchmark(HumanAnswersRecipe):
             appearance=appearance,
             jod=jod,
         )
-        return write_human_report(folder.path, table, data, said)
+        return write_human_report(folder.path, table, data, said, calibrated)
 
     def read_others(
         self, data: BenchmarkData, pairs: Pairs, replicates: int

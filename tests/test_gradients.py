@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.picture_pairs import pictures
+from helpers.picture_pairs import NAMES, pictures
 from torch import Tensor
 
 from torchbrdf.images import DIFFERENCES, Difference
@@ -18,7 +18,7 @@ from torchbrdf.roots import safe_norm, safe_ratio, safe_sqrt
 
 every_lobe = pytest.mark.parametrize("name", LOBES)
 every_loss = pytest.mark.parametrize("name", LOSSES)
-every_difference = pytest.mark.parametrize("name", DIFFERENCES)
+every_difference = pytest.mark.parametrize("name", NAMES)
 both_dtypes = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 QUANTITIES = ("cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d")
 MIRROR, DOWN = torch.tensor([-1.0, -1.0, 1.0]), torch.tensor([1.0, 1.0, -1.0])

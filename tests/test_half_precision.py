@@ -5,7 +5,7 @@ import warnings
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.picture_pairs import pictures
+from helpers.picture_pairs import NAMES, pictures
 from torch import Tensor
 
 from torchbrdf import fit, load
@@ -90,7 +90,7 @@ def test_losses(name: str, dtype: torch.dtype) -> None:
 
 
 @halves
-@pytest.mark.parametrize("name", DIFFERENCES)
+@pytest.mark.parametrize("name", NAMES)
 def test_differences(name: str, dtype: torch.dtype) -> None:
     """Figure, loss and gradient."""
     difference = DIFFERENCES[name]()

@@ -3,9 +3,11 @@
 import torch
 from torch import Tensor
 
-from torchbrdf.images import Difference
+from torchbrdf.images import DIFFERENCES, Difference
 
 Pictures = tuple[Tensor, Tensor, Tensor]
+# Every difference that the package comes with; those that need an extra are tried apart, where it is installed.
+NAMES = [name for name, kind in DIFFERENCES.items() if not kind.extra]
 
 
 def pair(batch: int = 2, height: int = 24, width: int = 20) -> Pictures:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from helpers.directions import hemisphere
+from helpers.picture_pairs import NAMES
 from torchbrdf import Pairs, fit, load
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.fitting import STRATEGIES, SlowFitWarning, score
@@ -47,9 +48,10 @@ def differences() -> dict[str, Tensor]:
     """Figure and loss of every image difference."""
     found = {}
     picture = torch.linspace(0, 1, 176 * 176 * 3, dtype=FLOAT, device="cpu").reshape(1, 176, 176, 3)
-    for name, kind in DIFFERENCES.items():
-        found[f"difference {name}"] = kind()(picture, picture.square())
-        found[f"difference {name}, loss"] = kind().loss(picture, picture.square())
+    for name in NAMES:
+        difference = DIFFERENCES[name]()
+        found[f"difference {name}"] = difference(picture, picture.square())
+        found[f"difference {name}, loss"] = difference.loss(picture, picture.square())
     return found | {"tone map": ToneMap.from_images(10 * picture)(picture)}
 
 

@@ -5,6 +5,7 @@ import copy
 import pytest
 import torch
 from helpers.painted import Painted
+from helpers.picture_pairs import NAMES
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
@@ -18,7 +19,7 @@ from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.measured import Measured
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob
 
-PIXELWISE = [name for name, kind in DIFFERENCES.items() if issubclass(kind, PixelDifference)]
+PIXELWISE = [name for name in NAMES if issubclass(DIFFERENCES[name], PixelDifference)]
 
 
 def scene_of(size: int, **settings: int) -> Scene:
@@ -45,7 +46,7 @@ def values(scene: Scene, *materials: Lobe, dtype: torch.dtype = torch.float32) -
         return torch.cat([material.to(dtype=dtype)(scene.pairs.to(dtype=dtype)) for material in materials])
 
 
-@pytest.mark.parametrize("name", DIFFERENCES)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_contract(large: Scene, name: str) -> None:
     loss = RenderedLoss(large, name, reduction="none")
     assert loss.registered_name == f"rendered_{name}"
@@ -68,7 +69,7 @@ def test_the_contract(large: Scene, name: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        *(("ward", name) for name in DIFFERENCES),
+        *(("ward", name) for name in NAMES),
         *((kind, "delta_e76") for kind in ("cook_torrance", "ashikhmin_shirley", "distribution_based")),
     ],
 )

@@ -20,6 +20,11 @@ DIFFERENCE_LABELS = {
     "flip": "FLIP",
     "delta_e76": "ΔE 76",
     "delta_e2000": "ΔE 2000",
+    "delta_e_itp": "ΔE ITP",
+    "delta_e_itp_hdr": "ΔE ITP, HDR",
+    "jod": "10 − JOD",
+    "pu_psnr": "PU-PSNR",
+    "pu_ssim": "PU-SSIM",
     "log_hdr": "log HDR",
     "compressed_hdr": "compressed HDR",
 }

@@ -23,6 +23,7 @@ from torchbrdf.perception.datasets.published import PublishedFits, read_publishe
 from torchbrdf.perception.datasets.ratings import Ratings, read_ratings
 from torchbrdf.perception.datasets.triplets import Triplets, read_triplets
 from torchbrdf.perception.directions import uniform_pairs
+from torchbrdf.perception.discrimination.psychometric import Discrimination, Share, discrimination_of, told_apart
 
 __all__ = [
     "FACTORS",
@@ -31,6 +32,7 @@ __all__ = [
     "Appearance",
     "BenchmarkData",
     "CallableMetric",
+    "Discrimination",
     "Distances",
     "EvaluatedBrdfs",
     "FactorFits",
@@ -40,10 +42,12 @@ __all__ = [
     "Opinions",
     "PublishedFits",
     "Ratings",
+    "Share",
     "Table",
     "Triplets",
     "as_metric",
     "compare_appearance",
+    "discrimination_of",
     "distances",
     "distances_of",
     "evaluate_brdfs",
@@ -64,5 +68,6 @@ __all__ = [
     "score_triplets",
     "statistics_of",
     "tabulate",
+    "told_apart",
     "uniform_pairs",
 ]

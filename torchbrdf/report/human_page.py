@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from torchbrdf.experiment.discrimination import Calibrated
 from torchbrdf.experiment.labels import caveat, loss_label
 from torchbrdf.files import write_csv, write_text
 from torchbrdf.losses import LearnedLoss
@@ -16,6 +17,7 @@ from torchbrdf.perception.agreement.jod import PICTURES
 from torchbrdf.perception.agreement.table import CLOSE_METHOD, HEADS, LABELS, ODD_METHOD, span
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.meaning import meaning
 from torchbrdf.report.people_figures import appearance_figure, attribute_label, jod_figure
 from torchbrdf.report.style import COLORS, new_figure
 from torchbrdf.report.tables import Column, table
@@ -52,10 +54,12 @@ class HumanPage:
     jod: JodTable | None = None
 
 
-def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: HumanPage) -> Path:
-    """Draw the figure and write `report.html`; gives its path."""
-    figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.synthetic else ""))
+def write_human_report(
+    folder: Path, table: Table, data: BenchmarkData, said: HumanPage, calibrated: Calibrated
+) -> Path:
+    """Draw the figures and write `report.html`; gives its path."""
+    figure, mark = folder / "figures" / "agreement.png", caveat(said.stand_in, SYNTHETIC if said.synthetic else "")
+    agreement_figure(figure, table, mark)
     opinions, triplets = data.opinions, data.triplets
     gloss, jod = _other_figures(folder / "figures", said, caveat(said.stand_in))
     page = template("human.html").render(
@@ -63,6 +67,7 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
         said=said,
         findings=[*findings(table), *([] if said.synthetic else trained(table))],
         figure=embed_png(figure),
+        meaning=meaning(folder / "figures" / "reliability.png", calibrated, mark),
         tables=[
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),

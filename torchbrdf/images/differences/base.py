@@ -53,6 +53,8 @@ class Difference(nn.Module):
     unit: ClassVar[str] = ""
     least_side: ClassVar[int] = 1
     """The smallest side, in pixels, of the pictures that it is defined for."""
+    extra: ClassVar[str] = ""
+    """What has to be installed for it beside torchbrdf, as in `pip install torchbrdf[extra]`; "" if nothing has."""
 
     def __init__(self, *, reduction: Reduction = "none") -> None:
         super().__init__()
