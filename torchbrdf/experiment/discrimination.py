@@ -12,10 +12,10 @@ from torchbrdf.errors import DataError
 from torchbrdf.files import write_csv, write_json
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, model_of
-from torchbrdf.losses import Loss, make_loss
+from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
-from torchbrdf.perception import BenchmarkData, Distances, uniform_pairs
+from torchbrdf.perception import FORMULAS, BenchmarkData, Distances, find_metric, uniform_pairs
 from torchbrdf.perception.discrimination.calibration import (
     ReliabilityBin,
     calibrate,
@@ -91,7 +91,7 @@ def calibrate_metrics(
         "pairs of opinions": len(parts["pairs"]) if "pairs" in parts else 0,
         "seed": seed,
         "date": time.strftime("%Y-%m-%d"),
-        "probes": {metric: probe(metric) for metric in metrics if not metric.startswith("rendered_")},
+        "probes": {metric: probe(metric) for metric in metrics if metric in LOSSES or metric in FORMULAS},
     }
     write_json(folder.path / BUNDLED, asdict(DiscriminationFile(metrics, facts)))
     write_csv(
@@ -104,7 +104,7 @@ def probe(metric: str) -> float:
     """The distance of two of the bundled stand-ins: tells whether a calibration is of the metric that there is now."""
     pairs = uniform_pairs(500)
     values = load(standins(), dtype=torch.float64).batch([0, 1]).at(pairs)
-    return float(f"{make_loss(metric, 'none')(values[:1], values[1:], pairs).item():.4g}")
+    return float(f"{find_metric(metric)(values[:1], values[1:], pairs).item():.4g}")
 
 
 def shares_of_fits(groups: list[Measured], records: list[FitRecord]) -> list[Share | None]:

@@ -17,7 +17,16 @@ from fuzzing.changes.of_table import TABLE
 from fuzzing.readers import Reader
 from fuzzing.sane import check_brdf, check_finite, check_line, check_name, check_pairs, expect, later
 from torchbrdf.measured.catalogue import MERL_NAMES
-from torchbrdf.perception import read_factors, read_lagunas, read_opinions, read_published, read_triplets
+from torchbrdf.perception import (
+    read_factors,
+    read_jod,
+    read_lagunas,
+    read_opinions,
+    read_published,
+    read_ratings,
+    read_triplets,
+    score_jod,
+)
 from torchbrdf.psychophysics import Comparisons, scale
 from torchbrdf.study import Answer, Plan, read_answers, simulate, trials, write_answers
 from torchbrdf.study.server import make_app
@@ -156,6 +165,48 @@ def use_opinions(path: Path) -> None:
     check_finite(found.standard_error, "standard error")
 
 
+def make_jod(folder: Path) -> None:
+    source = np.random.default_rng(0)
+    lines = [
+        f"{material}_{k},{model},{level},{source.uniform(1, 40):.3f},{source.uniform(2, 10):.3f},3"
+        for material in MERL_NAMES[:4]
+        for k, (model, level) in enumerate((("ward", 0), ("hbrdf", 0), ("hbrdf", 1)), 1)
+    ]
+    (folder / "fuzzed.csv").write_text("\n".join(["material,model,level,DeltaE,JOD,class", *lines]) + "\n")
+
+
+def use_jod(path: Path) -> None:
+    """As scores use it."""
+    found = read_jod(path)
+    for name in (*found.names, *found.materials, *found.methods):
+        check_name(name, "name")
+    expect(len(found) > 0 and len(set(found.names)) == len(found), "no rows, or a name twice")
+    check_finite(torch.stack([found.distance, found.delta_e]), "a score")
+    with later():
+        check_finite(score_jod(found, replicates=3).table.value, "agreement")
+
+
+def make_ratings(folder: Path) -> None:
+    source = np.random.default_rng(0)
+    lines = [
+        f"{name},{source.integers(2, 15)},{source.uniform(1, 5):.3f},{source.uniform(1, 5):.3f},0.25,0.5"
+        for name in ("001.png", *(f"{material}_5PCs.png" for material in MERL_NAMES[:8]))
+    ]
+    head = "image,n,glossy_mean,refsharp_mean,glossy_sd,refsharp_sd"
+    (folder / "fuzzed.csv").write_text("\n".join([head, *lines]) + "\n")
+
+
+def use_ratings(path: Path) -> None:
+    """As a page uses it."""
+    found = read_ratings(path)
+    for name in (*found.materials, *found.attributes):
+        check_name(name, "name")
+    expect(len(found) > 0 and bool(((found.mean >= 1) & (found.mean <= 5)).all()), "a mean beyond 1 to 5")
+    check_finite(found.standard_error, "standard error")
+    expect(bool((found.count > 0).all()), "nobody was asked")
+    found.select([name for name, known in zip(found.materials, found.measured, strict=True) if known])
+
+
 def make_triplets(folder: Path) -> None:
     source = np.random.default_rng(0)
     questions = [source.choice(100, 3, replace=False).tolist() for _ in range(12)]
@@ -234,6 +285,8 @@ READERS = (
     Reader("store", STORE, make_store, use_store, (database, database), share=0.5),
     Reader("answers", "fuzzed.csv", make_answers, use_answers, (*TABLE, *TEXT), renamed=True),
     Reader("opinions", "fuzzed.csv", make_opinions, use_opinions, (*TABLE, *TEXT), renamed=True),
+    Reader("jod", "fuzzed.csv", make_jod, use_jod, (*TABLE, *TEXT), renamed=True),
+    Reader("ratings", "fuzzed.csv", make_ratings, use_ratings, (*TABLE, *TEXT), renamed=True),
     Reader("triplets", "fuzzed.json", make_triplets, use_triplets, (*JSON, *TEXT), renamed=True),
     Reader("published", "fuzzed.json", make_published, use_published, (*JSON, *TEXT), renamed=True),
     Reader("mat", "fuzzed.mat", make_mat, use_mat, (mat, mat), renamed=True),
