@@ -67,7 +67,7 @@ def write_human_report(
         said=said,
         findings=[*findings(table), *([] if said.synthetic else trained(table))],
         figure=embed_png(figure),
-        meaning=meaning(folder / "figures" / "reliability.png", calibrated, mark),
+        meaning=meaning(folder / "figures" / "reliability.png", calibrated, mark, label),
         tables=[
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),

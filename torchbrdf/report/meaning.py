@@ -1,13 +1,13 @@
 """What distances mean: the reliability figure, and a table of how many observers tell what apart."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from torchbrdf.experiment.discrimination import METRIC, Calibrated
-from torchbrdf.experiment.labels import difference_label, loss_label
+from torchbrdf.experiment.labels import difference_label
 from torchbrdf.perception.discrimination.calibration import ReliabilityBin
 from torchbrdf.perception.discrimination.psychometric import Discrimination, Share
 from torchbrdf.perception.discrimination.words import MARKS, digits, scale
@@ -20,19 +20,20 @@ MOST_PANELS = 4
 PARTS = {"triplets": ("triplets of materials", "#4c72b0", "o"), "pairs": ("pairs of approximations", "#dd8452", "s")}
 
 
-def meaning(figure: Path, calibrated: Calibrated, mark: str) -> dict[str, Any] | None:
+def meaning(figure: Path, calibrated: Calibrated, mark: str, label: Callable[[str], str]) -> dict[str, Any] | None:
     """What `meaning.html` shows; None where no metric could be calibrated.
 
     Args:
         figure: Where the figure is written.
         calibrated: The metrics.
         mark: What has to be written on the figure.
+        label: Names of metrics for people.
     """
     if not calibrated.metrics:
         return None
     names = sorted(calibrated.metrics, key=lambda name: (name != METRIC, not name.startswith("rendered_")))
-    reliability_figure(figure, {name: calibrated.bins[name] for name in names[:MOST_PANELS]}, mark)
-    return {"figure": embed_png(figure), "table": meaning_table(calibrated.metrics, names)}
+    reliability_figure(figure, {label(name): calibrated.bins[name] for name in names[:MOST_PANELS]}, mark)
+    return {"figure": embed_png(figure), "table": meaning_table(calibrated.metrics, names, label)}
 
 
 def scales(differences: Iterable[str]) -> list[str]:
@@ -44,35 +45,35 @@ def reliability_figure(path: Path, bins: Mapping[str, Sequence[ReliabilityBin]],
     """Shares of observers that were foretold beside those that were found, a panel a metric."""
     with new_figure(path, 3.1 * len(bins) + 0.5, 3.4, mark) as figure:
         panels = np.atleast_1d(figure.subplots(1, len(bins), sharey=True, sharex=True))
-        for panel, (metric, own) in zip(panels, bins.items(), strict=True):
+        for panel, (name, own) in zip(panels, bins.items(), strict=True):
             panel.plot([0.4, 1], [0.4, 1], color="grey", lw=0.8, ls=":")
-            for part, (label, color, marker) in PARTS.items():
+            for part, (said, color, marker) in PARTS.items():
                 here = [one for one in own if one.part == part]
                 if not here:
                     continue
                 across = [one.predicted for one in here]
                 panel.vlines(across, [one.low for one in here], [one.high for one in here], color=color, alpha=0.5)
-                panel.plot(across, [one.observed for one in here], marker, color=color, ms=5, label=label)
-            panel.set(title=loss_label(metric), xlabel="share foretold", xlim=(0.45, 1), ylim=(0.4, 1))
+                panel.plot(across, [one.observed for one in here], marker, color=color, ms=5, label=said)
+            panel.set(title=name, xlabel="share foretold", xlim=(0.45, 1), ylim=(0.4, 1))
         panels[0].set_ylabel("share found")
         panels[0].legend(frameon=False, fontsize=8, loc="upper left")
 
 
-def meaning_table(metrics: Mapping[str, Discrimination], names: Sequence[str]) -> Table:
+def meaning_table(metrics: Mapping[str, Discrimination], names: Sequence[str], label: Callable[[str], str]) -> Table:
     """The distances at which so many would tell two things apart, under each metric."""
 
     def at(share: float) -> Column[str]:
         head = Share(share, share, share).words
         return Column(f"{head} at", lambda name: _within(metrics[name], share))
 
-    def check(part: str, label: str) -> Column[str]:
-        return Column(f"off, {label}", lambda name: (metrics[name].check or {}).get(part), ".3f", min)
+    def check(part: str, said: str) -> Column[str]:
+        return Column(f"off, {said}", lambda name: (metrics[name].check or {}).get(part), ".3f", min)
 
     columns = [
-        Column[str]("metric", loss_label),
+        Column[str]("metric", label),
         *map(at, MARKS),
         Column[str]("half, for one pair", lambda name: metrics[name].share(metrics[name].distance(0.5)).text),
-        *(check(part, label) for part, (label, _, _) in PARTS.items()),
+        *(check(part, said) for part, (said, _, _) in PARTS.items()),
     ]
     note = (
         "Distances at which such a share of observers would be expected to tell two things apart; in brackets: beyond "
