@@ -67,6 +67,7 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.experiment.discrimination import shares_of_fits
+    from torchbrdf.experiment.labels import difference_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
@@ -110,7 +111,11 @@ def command(options: Options) -> int:
         print(f"{record.material:32s} {short(record.error):>10s}  {told:22s} {record.status:14s} {'  '.join(rest)}")
     if any(shares):
         print(f"{MEANING} In brackets: 95 % interval for one fit.")
-    if line := scale(options.difference, f"{options.difference} of pictures") if options.loss == RENDERED else "":
+    if (
+        line := scale(options.difference, f"{difference_label(options.difference)} of pictures")
+        if options.loss == RENDERED
+        else ""
+    ):
         print(line)
     if options.out:
         print(Path(options.out) / FITS)

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from torchbrdf.experiment.discrimination import METRIC, Calibrated
 from torchbrdf.experiment.labels import difference_label
 from torchbrdf.perception.discrimination.calibration import ReliabilityBin
-from torchbrdf.perception.discrimination.psychometric import Discrimination, Share
+from torchbrdf.perception.discrimination.psychometric import Discrimination, Share, discrimination_of
 from torchbrdf.perception.discrimination.words import MARKS, digits, scale
 from torchbrdf.report.embed import embed_png
 from torchbrdf.report.style import new_figure
@@ -39,6 +39,30 @@ def meaning(figure: Path, calibrated: Calibrated, mark: str, label: Callable[[st
 def scales(differences: Iterable[str]) -> list[str]:
     """The scales of those image differences of which it is known what they mean."""
     return [line for name in differences if (line := scale(name, difference_label(name)))]
+
+
+def mark_shares(panel: Any, metric: str, along: Literal["x", "y"]) -> None:
+    """Mark on the far side of a panel which share of observers would tell apart what lies so far along an axis.
+
+    Args:
+        panel: Drawn, so that its limits are known.
+        metric: What is along the axis; nothing is marked where it is not known what it means.
+        along: The axis.
+    """
+    known = discrimination_of(metric)
+    if known is None:
+        return
+    low, high = panel.get_xlim() if along == "x" else panel.get_ylim()
+    inside = [(at, f"{100 * share:.0f} %") for share in MARKS if low <= (at := known.distance(share)) <= high]
+    axis = panel.secondary_xaxis("top") if along == "x" else panel.secondary_yaxis("right")
+    ticks = [at for at, _ in inside], [text for _, text in inside]
+    if along == "x":
+        axis.set_xticks(*ticks)
+        axis.set_xlabel("told apart by", fontsize=8)
+    else:
+        axis.set_yticks(*ticks)
+        axis.set_ylabel("told apart by", fontsize=8)
+    axis.tick_params(labelsize=8)
 
 
 def reliability_figure(path: Path, bins: Mapping[str, Sequence[ReliabilityBin]], mark: str) -> None:
