@@ -169,6 +169,7 @@ def test_what_was_not_asked_is_said() -> None:
     assert TRUE.share(4.0).text.endswith(", beyond what was asked")
     assert "beyond" not in TRUE.share(0.5).text and TRUE.share(0.5).brief == TRUE.share(0.5).text
     assert (TRUE.share(0.0).text, TRUE.share(0.0).words) == ("0 %", "nobody")
+    assert (TRUE.share(math.inf).value, TRUE.share(math.inf).asked) == (1, False)
     assert (TRUE.share(math.nan).text, TRUE.share(math.nan).words) == ("unknown", "unknown")
     with pytest.raises(UsageError, match="expected 0 or more"):
         TRUE.share(-1.0)
@@ -201,7 +202,8 @@ def test_nothing_to_calibrate_with_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"slope": -1.0}, {"covariance": [[0.1]]}, {"lowest": 5.0}, {"spread": 0.0}, {"scale": "a"}]
+    "change",
+    [{"slope": -1.0}, {"covariance": [[0.1]]}, {"lowest": 5.0}, {"spread": 0.0}, {"spread": 1e300}, {"scale": "a"}],
 )
 def test_a_file_of_something_else_is_refused_in_one_line(tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "discrimination.json"

@@ -27,6 +27,7 @@ from torchbrdf.perception import (
     read_triplets,
     score_jod,
 )
+from torchbrdf.perception.discrimination.psychometric import read_discrimination
 from torchbrdf.psychophysics import Comparisons, scale
 from torchbrdf.study import Answer, Plan, read_answers, simulate, trials, write_answers
 from torchbrdf.study.server import make_app
@@ -223,6 +224,23 @@ def use_triplets(path: Path) -> None:
     expect(len(found.select(found.decided)) <= len(found), "more decided than asked")
 
 
+def make_discrimination(folder: Path) -> None:
+    metric = {"slope": 2.5, "scale": 1.5, "spread": 0.4, "covariance": np.diag([0.01, 0.02, 0.03]).tolist()}
+    metric |= {"lowest": 0.05, "highest": 3.0, "check": {"triplets": 0.02}}
+    (folder / "fuzzed.json").write_text(json.dumps({"metrics": {"learned": metric}, "provenance": {"seed": 0}}))
+
+
+def use_discrimination(path: Path) -> None:
+    """As reports use it."""
+    for name, metric in read_discrimination(path).metrics.items():
+        check_line(name, "metric")
+        for distance in (0.0, 1e-12, metric.lowest, metric.highest, 1e12):
+            share = metric.share(distance)
+            expect(0 <= share.low <= share.value <= share.high <= 1, f"a share of {share}")
+        expect(metric.distance(0.25) <= metric.distance(0.75), "fewer tell apart what is farther apart")
+        expect(0 <= metric.prefer(metric.lowest, metric.highest) <= 1, "a share of no observers")
+
+
 def make_published(folder: Path) -> None:
     """Two materials of every set that is read."""
     color, numbers = [0.1, 0.2, 0.3], {"diffuse": [0.2, 0.1, 0.05], "specular": [0.01, 0.02, 0.03]}
@@ -288,6 +306,7 @@ READERS = (
     Reader("jod", "fuzzed.csv", make_jod, use_jod, (*TABLE, *TEXT), renamed=True),
     Reader("ratings", "fuzzed.csv", make_ratings, use_ratings, (*TABLE, *TEXT), renamed=True),
     Reader("triplets", "fuzzed.json", make_triplets, use_triplets, (*JSON, *TEXT), renamed=True),
+    Reader("discrimination", "fuzzed.json", make_discrimination, use_discrimination, (*JSON, *TEXT), renamed=True),
     Reader("published", "fuzzed.json", make_published, use_published, (*JSON, *TEXT), renamed=True),
     Reader("mat", "fuzzed.mat", make_mat, use_mat, (mat, mat), renamed=True),
     Reader("factors", "fuzzed.bin", make_factors, use_factors, renamed=True, share=0.3),

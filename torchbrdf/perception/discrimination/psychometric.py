@@ -13,9 +13,12 @@ import numpy as np
 
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.images import DIFFERENCES
+from torchbrdf.names import check_name
 from torchbrdf.reading import read_json
 
 BUNDLED = "discrimination.json"
+LARGEST, LARGEST_SPREAD, LARGEST_VARIANCE = 1e30, 10.0, 1e4
+"""Of constants in any unit, and of logarithms: nothing that answers say is near these."""
 LAPSE = 0.02
 """How often people answer at random, as in the likelihood that metrics are trained with."""
 NORMAL = NormalDist()
@@ -131,11 +134,13 @@ class Discrimination:
     check: dict[str, float] | None = None
 
     def __post_init__(self) -> None:
-        positive = (self.slope, self.scale, self.spread, self.highest)
-        rows = [len(row) for row in self.covariance] == [3, 3, 3]
-        if not (rows and all(0 < x < math.inf for x in positive) and 0 <= self.lowest < self.highest):
+        positive = (self.slope, self.scale, self.highest)
+        known = [len(row) for row in self.covariance] == [3, 3, 3]
+        known = known and all(abs(x) <= LARGEST_VARIANCE for row in self.covariance for x in row)
+        known = known and 0 < self.spread <= LARGEST_SPREAD and all(1 / LARGEST <= x <= LARGEST for x in positive)
+        if not (known and 0 <= self.lowest < self.highest):
             raise DataError(
-                f"discrimination: expected numbers above 0 and a 3 x 3 covariance, found {shown(vars(self))}"
+                f"discrimination: expected constants above 0, a 3 x 3 covariance and a range, found {shown(vars(self))}"
             )
 
     def perceived(self, distance: float) -> float:
@@ -152,8 +157,9 @@ class Discrimination:
         """
         if distance < 0:
             raise UsageError(f"a distance: expected 0 or more, found {distance:g}")
-        if math.isnan(distance) or not distance:
-            return Share(distance, distance, distance, asked=not distance)
+        if not 0 < distance < math.inf:  # equal, not a number, or without end
+            value = math.nan if math.isnan(distance) else min(distance, 1.0)
+            return Share(value, value, value, asked=not distance)
         middle, sd = self.perceived(distance), self._log_deviation(distance)
         value = self._expected(distance)
         low, high = (_told_apart(middle * math.exp(sign * NORMAL_95 * sd)) for sign in (-1, 1))
@@ -232,6 +238,8 @@ def read_discrimination(path: Path | str | None = None) -> DiscriminationFile:
     """
     where = str(files("torchbrdf.assets") / BUNDLED if path is None else path)
     found: DiscriminationFile = read_json(where, DiscriminationFile, "what distances mean, from human_benchmark")
+    for name in found.metrics:
+        check_name(name, where)
     return found
 
 
