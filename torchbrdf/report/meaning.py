@@ -1,5 +1,6 @@
 """What distances mean: the reliability figure, and a table of how many observers tell what apart."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -15,8 +16,8 @@ from torchbrdf.report.embed import embed_png
 from torchbrdf.report.style import new_figure
 from torchbrdf.report.tables import Column, Table, table
 
-# Panels of the figure, and how a row of the table calls the parts.
-MOST_PANELS = 4
+# Panels of the figure, how close marks on an axis may be, and how a row of the table calls the parts.
+MOST_PANELS, CLOSE = 4, 0.08
 PARTS = {"triplets": ("triplets of materials", "#4c72b0", "o"), "pairs": ("pairs of approximations", "#dd8452", "s")}
 
 
@@ -53,7 +54,11 @@ def mark_shares(panel: Any, metric: str, along: Literal["x", "y"]) -> None:
     if known is None:
         return
     low, high = panel.get_xlim() if along == "x" else panel.get_ylim()
-    inside = [(at, f"{100 * share:.0f} %") for share in MARKS if low <= (at := known.distance(share)) <= high]
+    inside: list[tuple[float, str]] = []
+    for tenth in range(1, 10):
+        at, last = known.distance(tenth / 10), inside[-1][0] if inside else -math.inf
+        if low <= at <= high and at - last > CLOSE * (high - low):
+            inside.append((at, f"{10 * tenth} %"))
     axis = panel.secondary_xaxis("top") if along == "x" else panel.secondary_yaxis("right")
     ticks = [at for at, _ in inside], [text for _, text in inside]
     if along == "x":

@@ -118,7 +118,7 @@ class Discrimination:
     Example:
         >>> metric = Discrimination(2.8, 1.2, 0.4, [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]], 0.05, 2.0)
         >>> metric.share(0.2).text
-        '41 % (21 to 69)'
+        '41 % (19 to 73)'
 
     Source: L. L. Thurstone, A law of comparative judgment, 1927, for the probit of differences; L. T. Maloney and
     J. N. Yang, Maximum likelihood difference scaling, 2003, doi:10.1167/3.8.5, for scales from comparisons of two
