@@ -40,7 +40,7 @@ def steps(measured, scene):
     problem = type(problem)(problem.pairs, problem.target)
     unit = step(analytic, problem)
     print(f"step, CosineRMSLoss, {len(valid)} bins{'':26s}{1e3 * unit:9.1f} ms    1.00")
-    for name in ("log_hdr", "psnr", "delta_e76", "delta_e2000", "ssim", "flip"):
+    for name in ("log_hdr", "psnr", "delta_e76", "delta_e_itp", "delta_e2000", "ssim", "flip"):
         loss = RenderedLoss(scene, name)
         took = step(loss, loss.problem(measured))
         print(f"step, rendered {name:12s} {scene.size} x {scene.size}, {scene.light_samples} lights"
@@ -71,7 +71,7 @@ def fits(materials, scene):
         tone = ToneMap.from_images(references, place.mask.expand(references.shape[:-1]))
         judges[where] = tone, tone(references)
     runs = [(name, LOSSES[name](), diffuse) for name in ANALYTIC for diffuse in ("45:0", "fit")]
-    runs += [(name, RenderedLoss(scene, name), "fit") for name in ("log_hdr", "delta_e76")]
+    runs += [(name, RenderedLoss(scene, name), "fit") for name in ("log_hdr", "delta_e76", "delta_e_itp")]
     for name, loss, diffuse in runs:
         began = time.perf_counter()
         result = fit(make_model("ward", 2), materials, loss, diffuse=diffuse)
@@ -87,7 +87,7 @@ def fits(materials, scene):
                 said = [f"{int((found <= best[where, key]).sum())} ({key})" for key in ("fit", "either")]
                 line += f", no worse than the best analytic metric in {', '.join(said)} of {len(found)}"
         print(line)
-    for name in ("log_hdr", "delta_e76"):
+    for name in ("log_hdr", "delta_e76", "delta_e_itp"):
         loss = RenderedLoss(scene, name)
         began = time.perf_counter()
         fit(make_model("ward", 2), materials.batch([0]), loss, diffuse="fit")

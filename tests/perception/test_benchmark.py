@@ -15,6 +15,7 @@ from torchbrdf.losses import LOSSES, LearnedLoss
 from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.perception import FORMULAS, Distances, statistics_of, tabulate
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+from torchbrdf.perception.discrimination.psychometric import read_discrimination
 from torchbrdf.reading import write_npz
 from torchbrdf.recipe import RECIPES, configure, run
 from torchbrdf.report.human_page import trained
@@ -52,6 +53,23 @@ def test_answers_drawn_around_cube_roots_are_told_best_by_cube_roots(out):
     found = {(r["loss"], r["statistic"]): r["agreement"] for r in json.loads((out / "scores.json").read_text())}
     for statistic in ("majority", "votes", "pairs", "apart", "across"):
         assert found["cube_root", statistic] > found["rms", statistic] + 0.05
+
+
+def test_what_distances_mean_is_calibrated_and_checked(out):
+    found = read_discrimination(out / "discrimination.json")
+    assert {"cube_root", "rendered_delta_e76"} <= set(found.metrics) <= {*LOSSES, "rendered_delta_e76"}
+    assert set(found.provenance["probes"]) == set(found.metrics) - {"rendered_delta_e76"}
+    # Answers were drawn around cube roots: these foretell them best.
+    assert found.metrics["cube_root"].spread < found.metrics["rms"].spread
+    with (out / "reliability.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["metric"] for row in rows} == set(found.metrics) and {row["part"] for row in rows} <= {
+        "triplets",
+        "pairs",
+    }
+    assert all(0.5 <= float(row["predicted"]) <= 1 and 0 <= float(row["observed"]) <= 1 for row in rows)
+    page = (out / "report.html").read_text()
+    assert "What a number means" in page and "Told apart by" in page
 
 
 def test_the_page_says_in_large_letters_that_nobody_was_asked(out):

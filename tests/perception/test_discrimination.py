@@ -168,7 +168,7 @@ def test_what_was_not_asked_is_said() -> None:
     assert TRUE.share(0.01).text.endswith(", beyond what was asked") and TRUE.share(0.01).brief.endswith("*")
     assert TRUE.share(4.0).text.endswith(", beyond what was asked")
     assert "beyond" not in TRUE.share(0.5).text and TRUE.share(0.5).brief == TRUE.share(0.5).text
-    assert (TRUE.share(0.0).text, TRUE.share(0.0).words) == ("0 %", "hardly anyone")
+    assert (TRUE.share(0.0).text, TRUE.share(0.0).words) == ("0 %", "nobody")
     assert (TRUE.share(math.nan).text, TRUE.share(math.nan).words) == ("unknown", "unknown")
     with pytest.raises(UsageError, match="expected 0 or more"):
         TRUE.share(-1.0)

@@ -139,7 +139,7 @@ def _check_loss(options: Options) -> None:
             setattr(options, key, default)
         elif options.loss != RENDERED:
             raise UsageError(f"--{key}: expected only with --loss {RENDERED}, found --loss {options.loss}")
-    DIFFERENCES[options.difference]
+    DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed
 
 
 def _loss(options: Options) -> "Loss":

@@ -22,7 +22,7 @@ DIFFERENCE_LABELS = {
     "delta_e2000": "ΔE 2000",
     "delta_e_itp": "ΔE ITP",
     "delta_e_itp_hdr": "ΔE ITP, HDR",
-    "jod": "10 − JOD",
+    "jod": "10 - JOD",
     "pu_psnr": "PU-PSNR",
     "pu_ssim": "PU-SSIM",
     "log_hdr": "log HDR",

@@ -48,7 +48,9 @@ class Pictures:
         self, grid: FitGrid, scenes: Mapping[str, Scene], differences: Sequence[str], *, maps: bool = False
     ) -> None:
         self.grid, self.scenes, self.maps = grid, scenes, maps
-        self.differences = list(dict.fromkeys(map(DIFFERENCES.canonical, differences)))
+        # Made here, so that one whose extra is not installed fails before anything is worked out.
+        self._measures = {name: DIFFERENCES[name]() for name in map(DIFFERENCES.canonical, differences)}
+        self.differences = list(self._measures)
         self.tones: dict[str, ToneMap] = {}
 
     def path(self, name: str, scene: str = ONLY, suffix: str = ".png") -> Path:
@@ -139,8 +141,7 @@ class Pictures:
             colors = COLOR_MAP((color_difference(*shown) / BRIGHTEST).clamp(0, 1).numpy())[..., :3]
             write_png(self.path(f"map-{fit}", name), composite(torch.from_numpy(colors).to(linear), scene.coverage))
         found = {}
-        for key in self.differences:
-            difference = DIFFERENCES[key]()
+        for key, difference in self._measures.items():
             pair = linear if difference.linear else shown
             found[key] = difference(pair[:1], pair[1:], scene.mask).item()
         return found

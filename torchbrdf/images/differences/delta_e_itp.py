@@ -41,9 +41,9 @@ class DeltaEITP(PixelDifference):
 
     Display values, taken for sRGB, times the display's peak are light in cd/m^2; in the primaries of BT.2020 it becomes
     LMS, LMS behind PQ becomes I, C_T and C_P, and T = C_T / 2. A difference of 1 is just noticeable to an eye that is
-    adapted to it as well as can be; large ones are not in proportion to what is seen. Of the picture metrics in the
-    study of Kavoosighafi et al. on approximated BRDFs, 2025, it agreed with people best. `DeltaEITPHDR` is the same on
-    radiance, without a display's limits.
+    adapted to it as well as can be; large ones are not in proportion to what is seen. Slopes near black are steep; at
+    black, where they would be infinite, they end: see `pq`. `DeltaEITPHDR` is the same on radiance, without a display's
+    limits.
 
     Args:
         peak: luminance of the display's white, in cd/m^2; its black has none.

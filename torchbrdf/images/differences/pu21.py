@@ -82,7 +82,8 @@ class PUSSIM(SSIM):
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """SSIM of both in PU21."""
-        return super().compare(*(pu21(self.white * picture) / _PEAK for picture in (image, reference)), mask)
+        first, second = (pu21(self.white * picture) / _PEAK for picture in (image, reference))
+        return super().compare(first, second, mask)
 
 
 def pu_psnr(

@@ -73,6 +73,7 @@ class Share:
 
 
 LADDER = (
+    (1e-6, "nobody"),
     (0.03, "hardly anyone"),
     (0.075, "one in twenty"),
     (0.15, "one in ten"),
