@@ -116,7 +116,7 @@ class CallableMetric(Loss):
             pairs = None if pairs is None else pairs.to(*self._home)
         found = self.function(prediction, target, pairs)
         if isinstance(found, np.ndarray | np.number | float | int):
-            found = torch.as_tensor(np.asarray(found))
+            found = torch.from_numpy(np.asarray(found))
         if not isinstance(found, Tensor) or found.is_complex():
             kind = str(found.dtype) if isinstance(found, Tensor) else type(found).__name__
             raise UsageError(f"{self.name}: expected a tensor of distances, found {kind}")
