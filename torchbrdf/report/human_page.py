@@ -36,7 +36,6 @@ _THEIRS = {
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
 }
-_FORMULAS = {"learned_in_three": "learned, three of its constants"}
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def _jod_table(found: JodTable) -> PageTable:
 
 def label(name: str) -> str:
     """A row's name for people."""
-    return _THEIRS.get(name) or _FORMULAS.get(name) or loss_label(name)
+    return _THEIRS.get(name) or loss_label(name)
 
 
 def findings(table: Table) -> list[str]:
