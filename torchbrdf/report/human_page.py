@@ -24,7 +24,7 @@ from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
 
 TITLE = "Which BRDF metric agrees with people?"
-RIVALS = ("cube_root", "compressed")
+RIVALS = ("cube_root", "compressed", "mean_log_difference")
 THEIRS = "lagunas_"
 # Columns from which on the cells of a table may take two lines.
 WIDE = 5
