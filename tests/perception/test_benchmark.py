@@ -57,7 +57,7 @@ def test_answers_drawn_around_cube_roots_are_told_best_by_cube_roots(out):
 
 def test_what_distances_mean_is_calibrated_and_checked(out):
     found = read_discrimination(out / "discrimination.json")
-    assert {"cube_root", "rendered_delta_e76"} <= set(found.metrics) <= {*LOSSES, "rendered_delta_e76"}
+    assert {"cube_root", "rendered_delta_e76"} <= set(found.metrics) <= {*LOSSES, *FORMULAS, "rendered_delta_e76"}
     assert set(found.provenance["probes"]) == set(found.metrics) - {"rendered_delta_e76"}
     # Answers were drawn around cube roots: these foretell them best.
     assert found.metrics["cube_root"].spread < found.metrics["rms"].spread
