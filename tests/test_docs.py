@@ -163,7 +163,8 @@ def test_command_lines_are_understood(path: Path) -> None:
                 if "help" not in settings:
                     recipe = configure(find_recipe(options.recipe), settings)
                     for name in getattr(recipe, "losses", ()):
-                        listed(LOSSES, name)
+                        if ":" not in name:  # a metric of one's own
+                            listed(LOSSES, name)
         except (Exception, SystemExit) as error:
             pytest.fail(f"{page(path)}:{number}: torchbrdf {shlex.join(words)}: {error!r}", pytrace=False)
 

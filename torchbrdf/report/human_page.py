@@ -24,7 +24,7 @@ from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
 
 TITLE = "Which BRDF metric agrees with people?"
-RIVALS = ("cube_root", "compressed")
+RIVALS = ("cube_root", "compressed", "mean_log_difference")
 THEIRS = "lagunas_"
 # Columns from which on the cells of a table may take two lines.
 WIDE = 5
@@ -36,7 +36,6 @@ _THEIRS = {
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
 }
-_FORMULAS = {"learned_in_three": "learned, three of its constants"}
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def _jod_table(found: JodTable) -> PageTable:
 
 def label(name: str) -> str:
     """A row's name for people."""
-    return _THEIRS.get(name) or _FORMULAS.get(name) or loss_label(name)
+    return _THEIRS.get(name) or loss_label(name)
 
 
 def findings(table: Table) -> list[str]:

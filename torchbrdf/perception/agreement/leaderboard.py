@@ -64,6 +64,8 @@ def score(
         >>> table.losses, [one.key for one in table.statistics[:3]], table.value.shape[0]
         (['largest', 'cube root'], ['majority', 'votes', 'pairs'], 2)
     """
+    if not isinstance(data, BenchmarkData):
+        raise UsageError(f"score: expected BenchmarkData, as read_benchmark_data gives it, found {type(data).__name__}")
     losses = named_metrics(metric)
     if replicates < 1:
         raise UsageError(f"score: replicates: expected at least 1, found {replicates}")

@@ -14,8 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import UsageError, shown
-from torchbrdf.losses import LOSSES, FunctionLoss, LearnedLoss, Loss, as_loss, make_loss
-from torchbrdf.losses.metric_file import CONSTANTS
+from torchbrdf.losses import LOSSES, FunctionLoss, Loss, as_loss, make_loss
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
 
@@ -26,7 +25,6 @@ Metric = str | Callable[..., Any]
 
 # Added to values times cosines before the logarithm.
 _DARKEST = 1e-3
-_THREE = {"gloss_0": 0.1792, "chroma_lobe": 1.203, "pointwise": 0.3463}
 
 
 def mean_log_difference(prediction: Tensor, target: Tensor, pairs: Pairs) -> Tensor:
@@ -36,13 +34,7 @@ def mean_log_difference(prediction: Tensor, target: Tensor, pairs: Pairs) -> Ten
     return (one - other).abs().mean((-2, -1))
 
 
-def _learned_in_three() -> Loss:
-    """The learned metric with three of its six terms: gloss, the lobe's chroma, and what differs anywhere."""
-    return LearnedLoss("none", weights={"constants": {name: _THREE.get(name, 0.0) for name in CONSTANTS}})
-
-
 FORMULAS: dict[str, Callable[[], Loss]] = {
-    "learned_in_three": _learned_in_three,
     "mean_log_difference": lambda: CallableMetric(mean_log_difference),
 }
 """Metrics that are no losses to fit under, but have their rows in the table."""
@@ -116,7 +108,7 @@ class CallableMetric(Loss):
             pairs = None if pairs is None else pairs.to(*self._home)
         found = self.function(prediction, target, pairs)
         if isinstance(found, np.ndarray | np.number | float | int):
-            found = torch.as_tensor(np.asarray(found))
+            found = torch.from_numpy(np.asarray(found))
         if not isinstance(found, Tensor) or found.is_complex():
             kind = str(found.dtype) if isinstance(found, Tensor) else type(found).__name__
             raise UsageError(f"{self.name}: expected a tensor of distances, found {kind}")
