@@ -139,7 +139,7 @@ def people() -> dict[str, Tensor]:
         "intervals": scored.high,
         "ceilings": scored.ceiling,
         "scores by JOD": by_jod.value,
-        "gloss": gloss_term(data.measured, 0, uniform_pairs(60)),
+        "gloss": gloss_term(data.measured, uniform_pairs(60)),
         "training": training.mismatch,
         "constants": training.constants,
         "split": first.materials,

@@ -240,7 +240,7 @@ def test_gloss_and_jod_have_their_parts_where_there_are_answers(tmp_path):
     assert "Gloss against people" in page and "<h3>JOD scores</h3>" in page and "no metric of BRDFs can be" in page
     with (out / "appearance.csv").open(newline="") as file:
         found = list(csv.DictReader(file))
-    assert len(found) == 12 and {row["attribute"] for row in found} == {"glossy", "odd"}
+    assert len(found) == 10 and {row["attribute"] for row in found} == {"glossy", "odd"}
     assert {row["materials"] for row in found} == {"20"}
     approximations = [FitRecord(row.split(",")[0], "ward", 1, records[0].parameters) for row in scores[:5]]
     write_fits(tmp_path / "tables.json", approximations)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchbrdf.bootstrap import percentile_interval
 from torchbrdf.color import luminance
 from torchbrdf.errors import DataError
-from torchbrdf.losses.learned import LearnedLoss, gloss
+from torchbrdf.losses import LearnedLoss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.pairs import Pairs
@@ -21,8 +21,7 @@ LABELS = {
     "sharpness": "sharpness: 1 / distinctness-of-image angle",
     "contrast_gloss": "contrast gloss",
     "albedo": "diffuse albedo, luminance",
-    "lobe": "lobe over body, log",
-    "shoulder": "5° beside the lobe over body, log",
+    "gloss": "lobe over body, log (learned metric)",
 }
 """What is measured of a material, in words."""
 TOGETHER = "together"
@@ -69,15 +68,11 @@ class Appearance:
         ]
 
 
-def gloss_term(measured: Measured, lobe: int = 0, pairs: Pairs | None = None) -> Tensor:
-    """The gloss that the learned metric compares: log luminance of the lobe over that of the body.
-
-    Luminance times cosines is averaged in the soft bins of `LearnedLoss`; of the averages near the mirror direction and
-    far from it (theta_h 70 degrees) the difference of logarithms counts, for theta_d of 15 and 45 degrees.
+def gloss_term(measured: Measured, pairs: Pairs | None = None) -> Tensor:
+    """The gloss that `LearnedLoss` compares, its G: log luminance of the lobe over that of the body.
 
     Args:
         measured: K materials.
-        lobe: Which bin of theta_h: 0 is the mirror direction, 1 is 5 degrees beside it.
         pairs: Where; None: `uniform_pairs()`.
 
     Returns:
@@ -85,8 +80,8 @@ def gloss_term(measured: Measured, lobe: int = 0, pairs: Pairs | None = None) ->
     """
     pairs = uniform_pairs() if pairs is None else pairs
     loss, values = LearnedLoss("none"), measured.at(pairs)
-    encoded = loss.encoded(values, pairs, loss.comparison(pairs, None, values))
-    return gloss(encoded.luminance)[:, lobe].mean(-1)
+    comparison = loss.comparison(pairs, None, values)
+    return (loss.encoded(values, pairs, comparison).luminance * comparison.gloss).sum(-1)
 
 
 def compare_appearance(
@@ -110,8 +105,7 @@ def compare_appearance(
         "sharpness": 1 / distinctness_of_image(tables).clamp_min(1e-6),
         "contrast_gloss": contrast_gloss(tables),
         "albedo": luminance(tables.diffuse_45_0()).double(),
-        "lobe": gloss_term(tables, 0, pairs),
-        "shoulder": gloss_term(tables, 1, pairs),
+        "gloss": gloss_term(tables, pairs),
     }
     known = torch.stack([own.isfinite() for own in found.values()]).all(0).nonzero()[:, 0].tolist()
     if len(known) < _LEAST:
