@@ -20,6 +20,8 @@ def test_fit_prints_and_writes(paint, tmp_path, capsys):
     assert main(["fit", str(paint), "--model", "ward", "--lobes", "1", "--samples", "500", "--out", str(out)]) == 0
     printed = capsys.readouterr()
     assert "paint" in printed.out and "roughness" in printed.out
+    assert re.search(r"told apart by .*\npaint +\S+ +<?\d+ % \(<?\d+ to >?\d+\)", printed.out)
+    assert "the others guess" in printed.out
     assert printed.err == ""  # no progress bar where there is no terminal
     (record,) = json.loads((out / "fits.json").read_text())
     assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cube_root"

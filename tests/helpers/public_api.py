@@ -15,7 +15,8 @@ from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import LOBES, make_model, parameters
 from torchbrdf.losses import LOSSES, FunctionLoss
 from torchbrdf.measured import standins
-from torchbrdf.perception import evaluate_brdfs, uniform_pairs
+from torchbrdf.perception import JodScores, evaluate_brdfs, gloss_term, score_jod, uniform_pairs
+from torchbrdf.perception import score as score_metrics
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.perception.learning.training import Split, splits, train
 from torchbrdf.perception.learning.training_set import make_training_set
@@ -109,18 +110,38 @@ def fits() -> dict[str, Tensor]:
     return found
 
 
+def _own(prediction: Tensor, target: Tensor, pairs: Pairs) -> Tensor:
+    return ((prediction - target) * pairs.cos_i[:, None]).abs().mean((-2, -1))
+
+
+def _alone(prediction: Tensor, target: Tensor, pairs: Pairs) -> Tensor:
+    return (prediction - target).square().mean()
+
+
 def people() -> dict[str, Tensor]:
     """A metric learned from answers, a scale from comparisons, and an interval."""
     data = synthetic_benchmark(questions=30)
     training_set = make_training_set(data, evaluate_brdfs(data, uniform_pairs(60)))
-    history = train(training_set, Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu")), 2)
+    everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
+    training = train(training_set, everything, 0.3)
     first = next(splits(training_set, 1, 0))
     wins = torch.tensor([[[[0, 5, 9], [4, 0, 7], [1, 3, 0]]]], dtype=torch.float64, device="cpu")
     scales = scale(Comparisons(["material"], [["a", "b", "c"]], ["observer"], wins))
     drawn = resample_counts(7, 20).double()
+    scored = score_metrics(
+        {"own": _own, "alone": _alone, "named": "mean_log_difference"}, data, pairs=uniform_pairs(60), replicates=4
+    )
+    jod = torch.tensor([9, 7, 5], dtype=torch.float64, device="cpu")
+    names = [f"nickel_{k}" for k in (1, 2, 3)]
+    by_jod = score_jod(JodScores(names, ["nickel"] * 3, names, jod, jod.flip(0)), replicates=4).table
     return {
-        "training": history.curve,
-        "weights": history.weights,
+        "scores": scored.value,
+        "intervals": scored.high,
+        "ceilings": scored.ceiling,
+        "scores by JOD": by_jod.value,
+        "gloss": gloss_term(data.measured, uniform_pairs(60)),
+        "training": training.mismatch,
+        "constants": training.constants,
         "split": first.materials,
         "scale": scales.value,
         "interval": percentile_interval(drawn),

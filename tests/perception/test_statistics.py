@@ -25,6 +25,7 @@ from torchbrdf.perception.agreement.statistics import (
     across_materials,
     expected_order,
     majorities,
+    majority_of_people,
     majority_of_votes,
     same_material,
     single_votes,
@@ -214,48 +215,84 @@ def test_ceilings_are_those_of_simulated_people():
     )
 
 
+def test_the_ceiling_of_majorities_is_that_of_people_with_beta_distributed_shares():
+    source = np.random.default_rng(5)
+    for spread in (0.5, 3.0):
+        share = source.beta(spread, spread, 6000)
+        first = source.binomial(5, share)
+        questions = torch.tensor([[0, 1, 2]]).repeat(len(share), 1)
+        asked = Triplets(NAMES, questions, torch.from_numpy(np.stack([first, 5 - first], 1)))
+        known = (share > 0.5) == (first > 2.5)  # what one who knows the shares says, and what the votes say
+        comparisons = majorities(asked)
+        ceiling = float(comparisons.agreement_rate(majority_of_people(asked)))
+        assert ceiling == pytest.approx(known.mean(), abs=0.012)
+        assert majority_of_people(asked).shape == (1, len(comparisons))
+    certain = Triplets(NAMES, questions[:50], torch.tensor([[5, 0]]).repeat(50, 1))
+    assert float(majority_of_people(certain).min()) > 0.99
+
+
 def test_a_table_has_values_intervals_and_paired_differences():
     triplets = some_triplets(9, 400)
     opinions = some_opinions(10, "UVW")
-    columns = statistics_of(triplets, opinions, without=("W",))
-    assert [one.key for one in columns] == [
-        *("majority", "votes", "pairs", "apart", "across", "pairs_with_w", "apart_with_w", "across_with_w"),
+    columns = statistics_of(triplets, opinions, odd=("W",), close=())
+    every = ("pairs", "apart", "across")
+    assert [one.key for one in columns if not one.key.startswith("across_without")] == [
+        *("majority", "votes", *every),  # without one of the two there are no pairs
+        *(f"{key}_with_w" for key in every),
     ]
     good, bad = opinions.distance, -opinions.distance
     scored = {"good": Distances(matrix(1), good), "bad": Distances(-matrix(1), bad), "half": Distances(matrix(1), None)}
     table = tabulate(columns, scored, 300)
-    assert table.value[0, 2:].tolist() == [1] * 6 and table.value[1, 2:].tolist() == [0] * 6
+    count = len(columns) - 2
+    assert table.value[0, 2:].tolist() == [1] * count and table.value[1, 2:].tolist() == [0] * count
     assert table.value[0, :2].tolist() == pytest.approx((1 - table.value[1, :2]).tolist())
     assert bool(table.value[2, 2:].isnan().all()) and torch.equal(table.value[2, :2], table.value[0, :2])
     assert bool((table.low <= table.value)[:2].all()) and bool((table.value <= table.high)[:2].all())
-    assert bool(table.ceiling[0].isnan()) and bool((table.ceiling[1:] > 0.5).all())
+    assert bool((table.ceiling > 0.5).all())
     value, low, high = table.difference("good", "half")
     assert value[:2].tolist() == low[:2].tolist() == high[:2].tolist() == [0, 0]  # paired: the same is never different
     value, low, high = table.difference("good", "bad")
-    assert value[2:].tolist() == low[2:].tolist() == high[2:].tolist() == [1] * 6
+    assert value[2:].tolist() == low[2:].tolist() == high[2:].tolist() == [1] * count
     records = table.records()
-    assert len(records) == 2 * 8 + 2 and {record["loss"] for record in records} == set(scored)
+    assert len(records) == 2 * len(columns) + 2 and {record["loss"] for record in records} == set(scored)
     again = tabulate(columns, scored, 300)
     for name in ("value", "low", "high", "ceiling_low", "replicates"):
         torch.testing.assert_close(getattr(again, name), getattr(table, name), rtol=0, atol=0, equal_nan=True)
     other = tabulate(columns, scored, 300, seed=1)
     assert not torch.equal(other.replicates.nan_to_num(), table.replicates.nan_to_num())
+    lines = table.text().splitlines()
+    assert len(lines) == 5 and lines[0].split()[::2] == ["triplets", "votes", *every]
+    best = ["good", "half", "bad"] if float(table.value[0, 0]) > 0.5 else ["bad", "good", "half"]
+    assert [line.split()[0] for line in lines[1:4]] == best and [table.losses[k] for k in table.ranked] == best
+    by = {line.split()[0]: line for line in lines}
+    assert by["good"].count("1.000 (1.000 to 1.000)") == 3 and by["half"].split()[-3:] == ["none"] * 3
 
 
-def test_each_method_that_is_apart_is_added_alone():
+def test_each_method_is_left_out_once_and_those_that_are_apart_are_added_alone():
     triplets, opinions = some_triplets(9, 400), some_opinions(10, "UVWX")
-    columns = {one.key: one for one in statistics_of(triplets, opinions, without=("X", "Y", "U"))}
-    assert list(columns)[5:] == [f"{key}_with_{added}" for added in "xu" for key in ("pairs", "apart", "across")]
+    columns = {one.key: one for one in statistics_of(triplets, opinions, odd=("X", "Y"), close=("U",))}
+    every = ("pairs", "apart", "across")
+    varied = [
+        *("pairs_without_u", "apart_without_u"),
+        *(f"{key}_without_{out}" for out in "vw" for key in every),
+        *("across_with_u", "pairs_with_x", "apart_with_x", "across_with_x"),
+    ]
+    assert list(columns) == ["majority", "votes", *every, *varied]
+    methods = {
+        "pairs": "UVW", "across": "VW", "pairs_without_u": "VW", "pairs_without_w": "UV", "across_without_w": "V",
+        "across_with_u": "UVW", "pairs_with_x": "UVWX", "across_with_x": "VWX",
+    }  # fmt: skip
     predicted = some_opinions(11, "UVWX").distance
     table = tabulate(list(columns.values()), {"some": Distances(None, predicted)}, 50)
-    for added, methods in (("", "VW"), ("X", "VWX"), ("U", "VWU")):
-        one = columns["across" + (f"_with_{added.lower()}" if added else "")]
-        rows = [row for row, method in enumerate(opinions.methods) if method in methods]
-        own = across_materials(opinions.select(rows))
-        assert one.added == added and one.label.endswith(f", with {added}" if added else "across materials")
+    for key, chosen in methods.items():
+        rows = [row for row, method in enumerate(opinions.methods) if method in chosen]
+        of = across_materials if key.startswith("across") else same_material
+        own = of(opinions.select(rows))
         share = own.agreement_rate(own.concordant(predicted[rows][None]))
-        assert float(table.value[0, list(columns).index(one.key)]) == pytest.approx(float(share), rel=1e-12)
-    assert [one.key for one in statistics_of(triplets, opinions)] == list(columns)[:5]  # none of those that are apart
+        assert float(table.value[0, list(columns).index(key)]) == pytest.approx(float(share), rel=1e-12)
+        assert columns[key].main == key.split("_")[0] and columns[key].variant.replace(" ", "_").lower() == "_".join(
+            key.split("_")[1:]
+        )
 
 
 def test_what_others_computed_on_measured_tables(data):

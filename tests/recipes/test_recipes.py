@@ -201,7 +201,7 @@ WHOLE = {"report.html", "fits.json", "fits.csv", "renders", "figures", "tonemap.
 QUICK = {
     "fores2012": WHOLE | {"study.json", "simulated.csv"},
     "image_vs_analytic": WHOLE,
-    "human_benchmark": {"report.html", "scores.json", "scores.csv", "distances", "figures"},
+    "human_benchmark": {"report.html", "scores.json", "scores.csv", "distances", "discrimination.json", "figures"},
 }
 
 

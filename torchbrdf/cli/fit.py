@@ -68,10 +68,13 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
+    from torchbrdf.experiment.discrimination import shares_of_fits
+    from torchbrdf.experiment.labels import difference_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
     from torchbrdf.lobes import make_model, read_fits
+    from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
     if options.diffuse not in DIFFUSE_MODES:
@@ -101,11 +104,21 @@ def command(options: Options) -> int:
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
-    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
-    for record in records:
+    print(f"{'material':32s} {'error':>10s}  {'told apart by':22s} {'status':14s} parameters")
+    shares = shares_of_fits(groups, records)
+    for record, share in zip(records, shares, strict=True):
         rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
         rest += [f"({note})" for note in _notes(record)]
-        print(f"{record.material:32s} {short(record.error):>10s}  {record.status:14s} {'  '.join(rest)}")
+        told = "" if share is None else share.brief
+        print(f"{record.material:32s} {short(record.error):>10s}  {told:22s} {record.status:14s} {'  '.join(rest)}")
+    if any(shares):
+        print(f"{MEANING} {INTERVAL}")
+    if (
+        line := scale(options.difference, f"{difference_label(options.difference)} of pictures")
+        if options.loss == RENDERED
+        else ""
+    ):
+        print(line)
     if options.out:
         print(Path(options.out) / FITS)
     return 0 if complete else 1

@@ -9,17 +9,18 @@ import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError
 from torchbrdf.files import write_csv, write_json
-from torchbrdf.losses import LOSSES, Loss, make_loss
+from torchbrdf.losses import Loss
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import (
     BenchmarkData,
     Distances,
     EvaluatedBrdfs,
     Table,
+    distances_of,
     evaluate_brdfs,
+    find_metric,
+    metric_label,
     read_lagunas,
-    score_opinions,
-    score_triplets,
 )
 from torchbrdf.reading import exists, read_npz, write_npz
 from torchbrdf.recipe import RunFolder
@@ -32,6 +33,8 @@ LAGUNAS = "lagunas2019_merl_distances.mat"
 @dataclass
 class Benchmark:
     """Distances of losses for everything that people were asked, in `distances/NAME.npz`; stored ones are read.
+
+    Those of a metric from `module:name` are worked out in every run: its module may have changed.
 
     Args:
         folder: Of the run.
@@ -46,11 +49,12 @@ class Benchmark:
     left_out: list[str] = field(default_factory=list)
 
     def score_values(self, names: Iterable[str], pairs: Pairs) -> None:
-        """Distances of registered losses between values at some pairs."""
+        """Distances of registered losses, and of metrics from `module:name`, between values at some pairs."""
         losses: dict[str, Loss] = {}
-        for name in map(LOSSES.canonical, names):
+        for text in names:
+            name = metric_label(text)
             try:
-                losses[name] = make_loss(name, "none")
+                losses[name] = find_metric(text)
             except TorchbrdfError as error:
                 self._leave_out(name, error)
         self._score(losses, lambda: evaluate_brdfs(self.data, pairs))
@@ -68,16 +72,10 @@ class Benchmark:
             found = read_lagunas(path, len(self.data.triplets.materials))
             self.distances |= {f"lagunas_{name}": Distances(matrix, None) for name, matrix in found.items()}
 
-    def write(self, table: Table) -> None:
-        """`scores.json` and `scores.csv`."""
-        records = table.records()
-        write_json(self.folder.path / "scores.json", records)
-        write_csv(self.folder.path / "scores.csv", records)
-
     def _score(self, losses: Mapping[str, Loss], evaluate: Callable[[], EvaluatedBrdfs]) -> None:
         """Distances of some losses, read where they are stored, else worked out and stored."""
         counts = len(self.data.triplets.materials), len(self.data.opinions)
-        stored = {name: self.folder.path / "distances" / f"{name}.npz" for name in losses}
+        stored = {name: self.folder.path / "distances" / f"{name}.npz" for name in losses if ":" not in name}
         known = {name: found for name, path in stored.items() if (found := read_distances(path, *counts))}
         if len(known) == len(losses):
             self.distances |= known
@@ -88,21 +86,32 @@ class Benchmark:
             found = known.get(name)
             if found is None:
                 try:
-                    triplets = score_triplets(loss, brdfs, self.data.triplets)
-                    opinions = score_opinions(loss, brdfs)
+                    found = distances_of(loss, self.data, brdfs)
                 except TorchbrdfError as error:
                     self._leave_out(name, error)
                     continue
                 finally:
                     progress(done, len(losses))
-                write_npz(stored[name], {"triplets": triplets.numpy(), "opinions": opinions.numpy()}, compressed=True)
-                found = Distances(triplets, opinions)
+                if name in stored:
+                    _write_distances(stored[name], found)
                 self.folder.log(f"{name} is scored")
             self.distances[name] = found
 
     def _leave_out(self, name: str, error: TorchbrdfError) -> None:
         self.left_out.append(f"{name}: {error}")
         self.folder.warn(f"{name} is left out: {error}")
+
+
+def write_scores(folder: Path, table: Table) -> None:
+    """`scores.json` and `scores.csv` in a folder."""
+    records = table.records()
+    write_json(folder / "scores.json", records)
+    write_csv(folder / "scores.csv", records)
+
+
+def _write_distances(path: Path, found: Distances) -> None:
+    parts = {"triplets": found.triplets, "opinions": found.opinions}
+    write_npz(path, {name: part.numpy() for name, part in parts.items() if part is not None}, compressed=True)
 
 
 def read_distances(path: Path, materials: int, rows: int) -> Distances | None:

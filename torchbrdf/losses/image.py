@@ -30,6 +30,8 @@ class ImageLoss(Loss):
 
     objective = "image"
     supports_subsampling = False
+    pairs: Pairs
+    """Those of the values that it observes."""
 
     def observe(self, values: Tensor) -> Tensor:
         """What is observed of values `(M, N, 3)`, `(M, P, 3)`; differentiable."""

@@ -16,6 +16,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, model_of
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
+from torchbrdf.report.meaning import mark_shares
 from torchbrdf.report.style import COLORS, new_figure, plain_ticks
 
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
@@ -102,6 +103,7 @@ def quality_figure(
             f"{difference_label(difference)}{' in ' + kind.unit if kind.unit else ''} ({better} is better)"
         )
         panels[-1].legend(frameon=False)
+        mark_shares(panels[-1], difference, "y")
 
 
 def strategies_figure(path: Path, grid: FitGrid, ratio: np.ndarray, gain: np.ndarray) -> None:
@@ -153,6 +155,8 @@ def bars_figure(
             panel.set_yticks(range(len(losses)), [loss_label(loss) for loss in losses])
             panel.set(xlabel="mean Delta E of the fits to their references", title=f"{scene} scene")
         panels[0].invert_yaxis()
+        for panel in panels:
+            mark_shares(panel, "delta_e76", "x")
 
 
 def _curves(

@@ -13,8 +13,10 @@ from torchbrdf.experiment.scaling import scale_experiments
 from torchbrdf.files import write_text
 from torchbrdf.lobes import FitRecord
 from torchbrdf.names import file_stem
+from torchbrdf.perception.discrimination.words import MEANING, brief
 from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import gloss_figure, grid_figure, profile_figure, quality_figure
+from torchbrdf.report.meaning import scales
 from torchbrdf.report.observers import observed, observer_tables
 from torchbrdf.report.strategies import compare_strategies
 from torchbrdf.report.tables import Column, Table, table
@@ -74,6 +76,8 @@ def write_grid_report(
         },
         observed=[observed(one, figures, caveat(stand_in, responses.caveat)) for one in scaled],
         gloss=embed_png(figures / "gloss.png"),
+        scales=scales(SHOWN_DIFFERENCES),
+        meaning=MEANING,
         quality=embed_png(figures / "delta_e76.png"),
         tables=[
             *([compared.table] if compared else []),
@@ -123,6 +127,7 @@ def _fit(pictures: Pictures, record: FitRecord) -> dict[str, Any]:
         "image": embed_webp(pictures.path(pictures.grid.picture(record))),
         "outlier": record.outlier,
         "delta_e76": record.differences[DIFFERENCE],
+        "told": brief(DIFFERENCE, record.differences[DIFFERENCE]),
     }
 
 

@@ -1,37 +1,40 @@
 """report.html of losses scored against human answers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from torchbrdf.experiment.discrimination import Calibrated
 from torchbrdf.experiment.labels import caveat, loss_label
-from torchbrdf.files import write_text
+from torchbrdf.files import write_csv, write_text
 from torchbrdf.losses import LearnedLoss
-from torchbrdf.perception import FACTORS, BenchmarkData, Table
-from torchbrdf.perception.agreement.table import LABELS, LEFT_OUT, ODD_METHOD
+from torchbrdf.perception import Appearance, BenchmarkData, JodTable, Table
+from torchbrdf.perception.agreement.appearance import LABELS as MEASURED_LABELS
+from torchbrdf.perception.agreement.jod import PICTURES
+from torchbrdf.perception.agreement.table import CLOSE_METHOD, HEADS, LABELS, ODD_METHOD, span
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.report.embed import embed_png, template
+from torchbrdf.report.meaning import meaning
+from torchbrdf.report.people_figures import appearance_figure, attribute_label, jod_figure
 from torchbrdf.report.style import COLORS, new_figure
 from torchbrdf.report.tables import Column, table
 from torchbrdf.report.tables import Table as PageTable
 
 TITLE = "Which BRDF metric agrees with people?"
-RIVALS = ("cube_root", "compressed")
+RIVALS = ("cube_root", "compressed", "mean_log_difference")
 THEIRS = "lagunas_"
+# Columns from which on the cells of a table may take two lines.
+WIDE = 5
+NO_BREAK = "\u00a0"
 _THEIRS = {
     "lagunas_rms": "Lagunas' RMS",
     "lagunas_rms_cos": "Lagunas' cosine RMS",
     "lagunas_rms_cos_cube": "Lagunas' cube root",
     "lagunas_dist_L2_lab": "Lagunas' pictures, L2 in Lab",
     "lagunas_dist_L4_lab": "Lagunas' pictures, L4 in Lab",
-}
-_ADDED = {
-    FACTORS: "a non-parametric fit, so close to its material that stand-ins of measured tables differ from them by as "
-    "much; on stand-ins its own comparisons across materials come out near chance for that reason.",
-    ODD_METHOD: "the pictures of its published parameters disagree with what people saw, which shows in every loss.",
 }
 
 
@@ -46,22 +49,32 @@ class HumanPage:
     pairs: int
     max_theta: float
     replicates: int
+    appearance: Appearance | None = None
+    jod: JodTable | None = None
 
 
-def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: HumanPage) -> Path:
-    """Draw the figure and write `report.html`; gives its path."""
-    figure = folder / "figures" / "agreement.png"
-    agreement_figure(figure, table, caveat(said.stand_in, SYNTHETIC if said.synthetic else ""))
+def write_human_report(
+    folder: Path, table: Table, data: BenchmarkData, said: HumanPage, calibrated: Calibrated
+) -> Path:
+    """Draw the figures and write `report.html`; gives its path."""
+    figure, mark = folder / "figures" / "agreement.png", caveat(said.stand_in, SYNTHETIC if said.synthetic else "")
+    agreement_figure(figure, table, mark)
     opinions, triplets = data.opinions, data.triplets
+    gloss, jod = _other_figures(folder / "figures", said, caveat(said.stand_in))
     page = template("human.html").render(
         title=TITLE,
         said=said,
         findings=[*findings(table), *([] if said.synthetic else trained(table))],
         figure=embed_png(figure),
+        meaning=meaning(folder / "figures" / "reliability.png", calibrated, mark, label),
         tables=[
             *_agreement_tables(table),
             *(_difference_table(table, rival) for rival in RIVALS if rival in table.losses),
         ],
+        gloss=gloss,
+        gloss_table=said.appearance and [_appearance_table(said.appearance)],
+        jod=jod,
+        jod_table=said.jod and [_jod_table(said.jod)],
         questions=f"{len(triplets):,}",
         ties=f"{int((~triplets.decided).sum()):,}",
         materials=len(triplets.materials),
@@ -69,14 +82,84 @@ def write_human_report(folder: Path, table: Table, data: BenchmarkData, said: Hu
         approximated=len(set(opinions.materials)),
         methods=list(dict.fromkeys(opinions.methods)),
         without=data.left_out,
-        apart=[method for method in LEFT_OUT if method in opinions.methods],
-        factors=FACTORS,
-        odd=ODD_METHOD,
+        close=CLOSE_METHOD if CLOSE_METHOD in opinions.methods else "",
+        odd=ODD_METHOD if ODD_METHOD in opinions.methods else "",
         record=(folder / "recipe.json").read_text(encoding="utf-8"),
     )
     path = folder / "report.html"
     write_text(path, page)
+    for name, records in (
+        ("appearance", said.appearance and said.appearance.records()),
+        ("jod", said.jod and said.jod.table.records()),
+    ):
+        if records:
+            write_csv(folder / f"{name}.csv", records)
     return path
+
+
+def _other_figures(folder: Path, said: HumanPage, mark: str) -> tuple[str, str]:
+    """Figures of ratings and of JOD scores, to be embedded; empty where there are none."""
+    gloss, jod = folder / "appearance.png", folder / "jod.png"
+    if said.appearance:
+        appearance_figure(gloss, said.appearance, mark)
+    if said.jod:
+        jod_figure(jod, said.jod.scores)
+    return embed_png(gloss) if said.appearance else "", embed_png(jod) if said.jod else ""
+
+
+def _appearance_table(found: Appearance) -> PageTable:
+    """Rank correlations of what is measured with every attribute."""
+    rows = range(len(found.ratings.attributes))
+    names = list(found.measured)
+
+    def correlation(s: int) -> Column[int]:
+        def value(row: int) -> Sequence[Any]:
+            return found.correlation[s, row], found.low[s, row], found.high[s, row]
+
+        return Column(
+            MEASURED_LABELS[names[s]], value, lambda own: _unbroken(*own, sign="+"), max, "strength", _strength
+        )
+
+    columns = [
+        Column[int]("people: how", lambda row: attribute_label(found.ratings.attributes[row])),
+        *map(correlation, range(len(names))),
+        Column[int]("all together", lambda row: found.correlation[-1, row], _signed),
+        Column[int]("ceiling: people", lambda row: found.ceiling[row], ".3f"),
+    ]
+    note = (
+        f"Spearman's rank correlation over {len(found.materials)} materials, with its 95 % interval over materials. "
+        "Bold: the strongest. All together: ranks predicted from all of them, each material from the others. Ceiling: "
+        "what the noise of mean ratings lets anything reach."
+    )
+    return table("Gloss and what people call it", note, rows, columns)
+
+
+def _signed(value: Any) -> str:
+    return f"{float(value):+.3f}" if np.isfinite(float(value)) else "none"
+
+
+def _strength(found: Sequence[Any]) -> float:
+    return abs(float(found[0]))
+
+
+def _jod_table(found: JodTable) -> PageTable:
+    """Agreement with JOD scores."""
+    scores = found.table
+
+    def agreement(s: int) -> Column[int]:
+        one = scores.statistics[s]
+        return Column(
+            f"{one.label} ({one.count:,})",
+            lambda row: (scores.value[row, s], scores.low[row, s], scores.high[row, s]),
+            lambda own: _unbroken(*own),
+        )
+
+    def name(row: int) -> str:
+        return "ΔE of the study's pictures" if scores.losses[row] == PICTURES else label(scores.losses[row])
+
+    note = "Share of comparisons ordered as people do, with its 95 % interval over materials; 0.5 is chance."
+    columns = [Column[int]("what", name), *map(agreement, range(len(scores.statistics)))]
+    return table("JOD scores", note, range(len(scores.losses)), columns)
 
 
 def label(name: str) -> str:
@@ -90,7 +173,7 @@ def findings(table: Table) -> list[str]:
     own = [k for k, name in enumerate(table.losses) if not name.startswith(THEIRS)]
     for s, one in enumerate(table.statistics):
         known = [k for k in own if bool(table.value[k, s].isfinite())]
-        if not known or one.added:
+        if not known or one.variant:
             continue
         best = max(known, key=lambda k: float(table.value[k, s]))
         limit = "" if one.ceiling is None else f"; people's own disagreement lets nothing pass {table.ceiling[s]:.3f}"
@@ -109,28 +192,34 @@ def trained(table: Table) -> list[str]:
     """What has to be said of a metric that these answers may have trained."""
     if "learned" not in table.losses:
         return []
-    known = LearnedLoss().provenance["held_out"]
-    shares = [f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})" for name, (share, low, high) in known.items()]
+    known = LearnedLoss().provenance.get("held_out", {})
+    shares = [
+        f"{LABELS[name]} {share:.3f} ({low:.3f} to {high:.3f})"
+        for name, (share, low, high) in known.items()
+        if name in LABELS
+    ]
+    unseen = f" On halves of the materials that it did not see: {'; '.join(shares)}." if shares else ""
     return [
         "The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
-        f"{FACTORS} too: here it is asked about what it may have seen. On halves of the materials that it did not see: "
-        f"{'; '.join(shares)}. Train one with torchbrdf run train_metric."
+        f"{CLOSE_METHOD} too: here it is asked about what it may have seen.{unseen} Train one with torchbrdf run "
+        "train_metric."
     ]
 
 
 def agreement_figure(path: Path, table: Table, mark: str) -> None:
     """A panel for each statistic: agreement of every loss with its interval, chance, and the ceiling."""
     shown = _columns(table)
-    rows = np.arange(len(table.losses))
+    rows, order = np.arange(len(table.losses)), table.ranked
     with new_figure(path, 2.35 * len(shown) + 1.6, 0.3 * len(rows) + 1.5, mark) as figure:
         panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for panel, s in zip(panels, shown, strict=True):
-            for k, name in enumerate(table.losses):
+            for row, k in enumerate(order):
                 value, low, high = (float(part[k, s]) for part in (table.value, table.low, table.high))
                 if np.isfinite(value):
+                    name = table.losses[k]
                     color = "#888888" if name.startswith(THEIRS) else COLORS.get(name, "#333333")
-                    panel.plot([low, high], [k, k], color=color, lw=2, alpha=0.6, solid_capstyle="butt")
-                    panel.plot(value, k, "o", color=color, ms=5)
+                    panel.plot([low, high], [row, row], color=color, lw=2, alpha=0.6, solid_capstyle="butt")
+                    panel.plot(value, row, "o", color=color, ms=5)
             panel.axvline(0.5, color="grey", lw=0.8, ls=":")
             if table.statistics[s].ceiling is not None:
                 panel.axvspan(
@@ -139,7 +228,7 @@ def agreement_figure(path: Path, table: Table, mark: str) -> None:
                 panel.axvline(float(table.ceiling[s]), color="#9c3d00", lw=1.2, ls="--")
             panel.set_title(_wrapped(table.statistics[s].label), fontsize=8)
             panel.set_xlabel("agreement")
-        panels[0].set_yticks(rows, [label(name) for name in table.losses])
+        panels[0].set_yticks(rows, [label(table.losses[k]) for k in order])
         panels[0].invert_yaxis()
 
 
@@ -154,31 +243,38 @@ def _wrapped(text: str) -> str:
 
 
 def _agreement_tables(scores: Table) -> list[PageTable]:
-    """Agreement with intervals and the ceilings; the columns with each added method in a table of their own."""
+    """Agreement with intervals and the ceilings; then a table for each column whose methods can differ."""
     note = (
         "Share of comparisons that a loss orders as people do, with its 95 % interval over materials; 0.5 is chance. "
         "Bold: the best. In the head: how many comparisons. Ceiling: what disagreement between people lets anything "
         "reach."
     )
-    tables = [_agreement_table(scores, "Agreement with people", note, _columns(scores))]
-    for method in dict.fromkeys(one.added for one in scores.statistics if one.added):
-        note = f"As in the first table, with {method}" + (f": {_ADDED[method]}" if method in _ADDED else ".")
-        tables.append(_agreement_table(scores, f"With {method}", note, _columns(scores, method)))
+    main = _columns(scores)
+    labels = {s: scores.statistics[s].label for s in main}
+    tables = [_agreement_table(scores, "Agreement with people", note, labels)]
+    for s in main:
+        own = scores.statistics[s]
+        varied = {k: one.variant for k, one in enumerate(scores.statistics) if one.main == own.key and one.variant}
+        if varied:
+            note = (
+                f"The column of the first table, {own.label}, and what it is without one of its methods, or with one "
+                "that it leaves out."
+            )
+            title = f"Methods left out: {HEADS[own.key]}"
+            tables.append(_agreement_table(scores, title, note, {s: "as above", **varied}))
     return tables
 
 
-def _columns(scores: Table, added: str = "") -> list[int]:
-    """The main columns, or those with one method added."""
-    return [s for s, one in enumerate(scores.statistics) if one.added == added]
+def _columns(scores: Table) -> list[int]:
+    """The main columns."""
+    return [s for s, one in enumerate(scores.statistics) if not one.variant]
 
 
-def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int]) -> PageTable:
-    """Agreement of each loss, and the ceiling in the last row, which is no rival."""
+def _agreement_table(scores: Table, title: str, note: str, heads: Mapping[int, str]) -> PageTable:
+    """Agreement of each loss by some columns, and the ceiling in the last row, which is no rival."""
     ceiling = len(scores.losses)
 
     def agreement_column(s: int) -> Column[int]:
-        one = scores.statistics[s]
-
         def value(row: int) -> Sequence[Any]:
             if row == ceiling:
                 return scores.ceiling[s], scores.ceiling_low[s], scores.ceiling_high[s]
@@ -186,20 +282,19 @@ def _agreement_table(scores: Table, title: str, note: str, columns: Sequence[int
 
         best = scores.value[:, s].nan_to_num(-1).max()
         return Column(
-            f"{one.label} ({one.count:,})",
+            f"{heads[s]} ({scores.statistics[s].count:,})",
             value,
-            lambda found: _span(*found),
+            lambda found: _unbroken(*found, wide=len(heads) > WIDE),
             bold=lambda row: row != ceiling and bool(scores.value[row, s] == best),
         )
 
-    rows = [k for k in range(ceiling) if bool(scores.value[k, list(columns)].isfinite().any())]
+    rows = [k for k in scores.ranked if bool(scores.value[k, list(heads)].isfinite().any())]
     head = Column[int]("loss", lambda row: "ceiling: people" if row == ceiling else label(scores.losses[row]))
-    return table(title, note, [*rows, ceiling], [head, *map(agreement_column, columns)])
+    return table(title, note, [*rows, ceiling], [head, *map(agreement_column, heads)])
 
 
 def _difference_table(scores: Table, rival: str) -> PageTable:
     """How much more often each loss agrees with people than one of them."""
-    close = [s for s in _columns(scores, FACTORS) if not scores.statistics[s].key.startswith("across")]
     rows = [name for name in scores.losses if name != rival and not name.startswith(THEIRS)]
     found = {name: scores.difference(name, rival) for name in rows}
 
@@ -207,7 +302,7 @@ def _difference_table(scores: Table, rival: str) -> PageTable:
         return Column(
             scores.statistics[s].label,
             lambda name: [part[s] for part in found[name]],
-            lambda own: _span(own[0], own[1], own[2], "+"),
+            lambda own: _unbroken(*own, sign="+"),
             bold=lambda name: bool(found[name][1][s] > 0),
         )
 
@@ -215,13 +310,11 @@ def _difference_table(scores: Table, rival: str) -> PageTable:
         f"Agreement minus that of {label(rival)}, with the paired 95 % interval: both see the same drawn materials. "
         "Bold: all of the interval is above 0."
     )
-    columns = [Column("loss", label), *map(difference, [*_columns(scores), *close])]
+    columns = [Column("loss", label), *map(difference, _columns(scores))]
     return table(f"Better than {label(rival)}?", note, rows, columns)
 
 
-def _span(value: Any, low: Any, high: Any, sign: str = "") -> str:
-    if not np.isfinite(float(value)):
-        return "none"
-    # In tables of differences, which are wide, a line may end before the interval.
-    gap, inside = " " if sign else "&", f"({float(low):{sign}.3f}&to&{float(high):{sign}.3f})"
-    return f"{float(value):{sign}.3f}{gap}{inside}".replace("&", "\u00a0")
+def _unbroken(value: Any, low: Any, high: Any, *, sign: str = "", wide: bool = False) -> str:
+    """A share and its interval in one line; in tables that are wide, or of differences, in one or two."""
+    first, *interval = span(value, low, high, sign=sign).split(" ", 1)
+    return (" " if sign or wide else NO_BREAK).join([first, *(part.replace(" ", NO_BREAK) for part in interval)])

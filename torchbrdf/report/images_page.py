@@ -13,8 +13,10 @@ from torchbrdf.experiment.pictures import BRIGHTEST, DIFFERENCE, Pictures
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.losses import ImageLoss
+from torchbrdf.perception.discrimination.words import MEANING, brief
 from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import bars_figure, grid_figure
+from torchbrdf.report.meaning import scales
 from torchbrdf.report.tables import Column, Table, table
 
 TITLE = "Which metric stands in for looking at pictures?"
@@ -51,6 +53,8 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
         brightest=f"{BRIGHTEST:g}",
         blocks=[_block(pictures, scene, model, scenes) for scene in (unseen, training) for model in grid.models],
         figure=embed_png(figure),
+        scales=scales(pictures.differences),
+        meaning=MEANING,
         tables=[
             *(_difference_table(pictures, scene, scenes[scene]) for scene in (unseen, training)),
             *(_agreement_table(pictures, scene, analytic + rendered) for scene in (unseen, training)),
@@ -129,6 +133,7 @@ def _block(pictures: Pictures, scene: str, model: str, scenes: Mapping[str, str]
                     "image": embed_webp(pictures.path(name, scene)),
                     "map": embed_webp(pictures.path(f"map-{name}", scene)),
                     "delta_e76": record.pictures[scene][DIFFERENCE],
+                    "told": brief(DIFFERENCE, record.pictures[scene][DIFFERENCE]),
                 }
             )
         reference = embed_webp(pictures.path(picture_name(material), scene))

@@ -13,10 +13,12 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
+from torchbrdf.experiment.labels import difference_label
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, DIFFERENCE, color_difference
 from torchbrdf.files import write_json
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes, write_exr, write_png
 from torchbrdf.measured import Measured
+from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, brief, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Scene, render
 from torchbrdf.report.style import new_figure
@@ -25,10 +27,10 @@ from torchbrdf.report.style import new_figure
 ACROSS = 8
 # A cell in inches: a picture and, above it, its title. Smaller where the sheet would be higher than MOST_INCHES.
 SIDE, TITLE, MOST_INCHES = 2.1, 0.4, 150.0
-# Of a title, to a line.
-LETTERS = 36
-# Between pictures, as a share of a cell; and room for the colour scale, in inches.
-GAP, SCALE_WIDTH = 0.03, 0.9
+# Of a title, to a line; of what numbers mean, to an inch.
+LETTERS, LETTERS_OF_FOOT = 36, 19
+# Between pictures, as a share of a cell; room for the colour scale, and for what numbers mean, in inches.
+GAP, SCALE_WIDTH, FOOT = 0.03, 0.9, 0.5
 
 # Of all pictures that are held at once; they take some 50 bytes each.
 MOST_PIXELS = 200_000_000
@@ -116,9 +118,11 @@ def write_sheet(
     fits = any(cell.is_map for cell in cells)
     side = min(SIDE, MOST_INCHES / rows - TITLE)
     size = min(7.5, 3.5 * side)
-    height, width = rows * (side + TITLE), across * side
-    with new_figure(path, width + SCALE_WIDTH * fits, height, layout=None) as figure:
-        axes = figure.add_axes((0, 0, width / (width + SCALE_WIDTH * fits), 1))
+    height, width, foot = rows * (side + TITLE), across * side, FOOT * fits
+    with new_figure(path, width + SCALE_WIDTH * fits, height + foot, layout=None) as figure:
+        axes = figure.add_axes(
+            (0, foot / (height + foot), width / (width + SCALE_WIDTH * fits), height / (height + foot))
+        )
         axes.set(xlim=(0, across), ylim=(height / side, 0))
         axes.set_axis_off()
         for cell in cells:
@@ -126,16 +130,19 @@ def write_sheet(
             shown = COLOR_MAP(maps[k].numpy() / BRIGHTEST)[..., :3] if cell.is_map else display[k].numpy()
             picture = to_bytes(composite(torch.from_numpy(shown), coverage))
             axes.imshow(picture, extent=(cell.column + GAP, cell.column + 1 - GAP, top + 1 - 2 * GAP, top))
-            said = f"mean ΔE {delta_e[k]:.2f}" if cell.is_map else _title(items[k])
+            said = _mean(delta_e[k]) if cell.is_map else _title(items[k])
             axes.text(cell.column + 0.5, top - GAP, said, fontsize=size, ha="center", va="bottom")
         axes.set(xlim=(0, across), ylim=(height / side, 0), aspect="auto")  # which imshow changed
         if fits:
             tall = min(height - TITLE, 4 * SIDE)
-            place = (1 - 0.75 * SCALE_WIDTH / figure.get_figwidth(), 1 - (tall + 0.3) / height)
-            bar = figure.add_axes((*place, 0.15 / figure.get_figwidth(), (tall - 0.1) / height))
+            place = (1 - 0.75 * SCALE_WIDTH / figure.get_figwidth(), 1 - (tall + 0.3) / (height + foot))
+            bar = figure.add_axes((*place, 0.15 / figure.get_figwidth(), (tall - 0.1) / (height + foot)))
             figure.colorbar(ScalarMappable(Normalize(0, BRIGHTEST), COLOR_MAP), cax=bar, extend="max")
             bar.set_ylabel("CIELAB ΔE 76 to the reference, pixel by pixel", fontsize=7.5)
             bar.tick_params(labelsize=7.5)
+            meant = f"{scale(DIFFERENCE, f'mean {difference_label(DIFFERENCE)}')}. {MEANING} {INTERVAL}"
+            lines = textwrap.fill(meant, int(figure.get_figwidth() * LETTERS_OF_FOOT))
+            figure.text(0.01, 0.5 * foot / (height + foot), lines, fontsize=7, va="center")
 
 
 def sheet_cells(items: Sequence[Item]) -> list[SheetCell]:
@@ -160,6 +167,12 @@ def sheet_cells(items: Sequence[Item]) -> list[SheetCell]:
     there = {cell.item for cell in cells}
     alone = [k for k in range(len(items)) if k not in there]
     return cells + [SheetCell(row + n // across, n % across, k) for n, k in enumerate(alone)]
+
+
+def _mean(delta_e: float) -> str:
+    """What stands above a map."""
+    share = brief(DIFFERENCE, delta_e, interval=True)
+    return f"mean ΔE {delta_e:.2f}" + (f"\ntold apart by {share}" if share else "")
 
 
 def _title(item: Item) -> str:

@@ -16,6 +16,7 @@ from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.files import destination, write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes
 from torchbrdf.measured import Measured
+from torchbrdf.perception.discrimination.words import MEANING, said, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
 from torchbrdf.report.embed import template
@@ -87,14 +88,15 @@ def first_pair(items: Sequence[Item]) -> tuple[int, int]:
 
 
 def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[list[str] | None]:
-    """CIELAB Delta E and PSNR of each fit from its material, as text; None for what is no fit of one."""
+    """CIELAB Delta E and PSNR of each fit from its material, and what they mean; None for what is no fit of one."""
     pairs = [(k, item.reference) for k, item in enumerate(items) if item.reference is not None]
     texts: list[list[str] | None] = [None] * len(items)
     if pairs:
         fits, references = (display[list(side)] for side in zip(*pairs, strict=True))
         measures = [DIFFERENCES[name]()(fits, references, mask).tolist() for name in ("delta_e76", "psnr")]
         for (k, _), delta_e76, psnr in zip(pairs, *measures, strict=True):
-            texts[k] = [f"{delta_e76:.2f}", "infinite" if psnr == math.inf else f"{psnr:.1f} dB"]
+            decibels = "infinite" if psnr == math.inf else f"{psnr:.1f} dB"
+            texts[k] = [f"{delta_e76:.2f}", decibels, said("delta_e76", delta_e76)]
     return texts
 
 
@@ -129,5 +131,6 @@ def _page(
         size=size,
         steps=len(frames[0]),
         quality=QUALITY,
+        meaning=[scale("delta_e76", "\u0394E"), MEANING],
         data=data,
     )

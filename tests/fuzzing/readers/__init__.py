@@ -49,6 +49,6 @@ def readers() -> dict[str, Reader]:
 NAMES = (
     *("merl", "rgl", "fits", "standins", "continued", "metric"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
-    *("study", "png", "store", "answers", "opinions", "triplets", "published", "mat", "factors"),
-    *("trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
+    *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
+    *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
 )

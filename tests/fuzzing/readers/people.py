@@ -17,7 +17,17 @@ from fuzzing.changes.of_table import TABLE
 from fuzzing.readers import Reader
 from fuzzing.sane import check_brdf, check_finite, check_line, check_name, check_pairs, expect, later
 from torchbrdf.measured.catalogue import MERL_NAMES
-from torchbrdf.perception import read_factors, read_lagunas, read_opinions, read_published, read_triplets
+from torchbrdf.perception import (
+    read_factors,
+    read_jod,
+    read_lagunas,
+    read_opinions,
+    read_published,
+    read_ratings,
+    read_triplets,
+    score_jod,
+)
+from torchbrdf.perception.discrimination.psychometric import read_discrimination
 from torchbrdf.psychophysics import Comparisons, scale
 from torchbrdf.study import Answer, Plan, read_answers, simulate, trials, write_answers
 from torchbrdf.study.server import make_app
@@ -156,6 +166,48 @@ def use_opinions(path: Path) -> None:
     check_finite(found.standard_error, "standard error")
 
 
+def make_jod(folder: Path) -> None:
+    source = np.random.default_rng(0)
+    lines = [
+        f"{material}_{k},{model},{level},{source.uniform(1, 40):.3f},{source.uniform(2, 10):.3f},3"
+        for material in MERL_NAMES[:4]
+        for k, (model, level) in enumerate((("ward", 0), ("hbrdf", 0), ("hbrdf", 1)), 1)
+    ]
+    (folder / "fuzzed.csv").write_text("\n".join(["material,model,level,DeltaE,JOD,class", *lines]) + "\n")
+
+
+def use_jod(path: Path) -> None:
+    """As scores use it."""
+    found = read_jod(path)
+    for name in (*found.names, *found.materials, *found.methods):
+        check_name(name, "name")
+    expect(len(found) > 0 and len(set(found.names)) == len(found), "no rows, or a name twice")
+    check_finite(torch.stack([found.distance, found.delta_e]), "a score")
+    with later():
+        check_finite(score_jod(found, replicates=3).table.value, "agreement")
+
+
+def make_ratings(folder: Path) -> None:
+    source = np.random.default_rng(0)
+    lines = [
+        f"{name},{source.integers(2, 15)},{source.uniform(1, 5):.3f},{source.uniform(1, 5):.3f},0.25,0.5"
+        for name in ("001.png", *(f"{material}_5PCs.png" for material in MERL_NAMES[:8]))
+    ]
+    head = "image,n,glossy_mean,refsharp_mean,glossy_sd,refsharp_sd"
+    (folder / "fuzzed.csv").write_text("\n".join([head, *lines]) + "\n")
+
+
+def use_ratings(path: Path) -> None:
+    """As a page uses it."""
+    found = read_ratings(path)
+    for name in (*found.materials, *found.attributes):
+        check_name(name, "name")
+    expect(len(found) > 0 and bool(((found.mean >= 1) & (found.mean <= 5)).all()), "a mean beyond 1 to 5")
+    check_finite(found.standard_error, "standard error")
+    expect(bool((found.count > 0).all()), "nobody was asked")
+    found.select([name for name, known in zip(found.materials, found.measured, strict=True) if known])
+
+
 def make_triplets(folder: Path) -> None:
     source = np.random.default_rng(0)
     questions = [source.choice(100, 3, replace=False).tolist() for _ in range(12)]
@@ -170,6 +222,23 @@ def use_triplets(path: Path) -> None:
     expect(bool(((found.questions >= 0) & (found.questions < len(found.materials))).all()), "an index of no material")
     expect(bool((found.votes >= 0).all() and (found.votes.sum(1) > 0).all()), "votes below 0, or none")
     expect(len(found.select(found.decided)) <= len(found), "more decided than asked")
+
+
+def make_discrimination(folder: Path) -> None:
+    metric = {"slope": 2.5, "scale": 1.5, "spread": 0.4, "covariance": np.diag([0.01, 0.02, 0.03]).tolist()}
+    metric |= {"lowest": 0.05, "highest": 3.0, "check": {"triplets": 0.02}}
+    (folder / "fuzzed.json").write_text(json.dumps({"metrics": {"learned": metric}, "provenance": {"seed": 0}}))
+
+
+def use_discrimination(path: Path) -> None:
+    """As reports use it."""
+    for name, metric in read_discrimination(path).metrics.items():
+        check_line(name, "metric")
+        for distance in (0.0, 1e-12, metric.lowest, metric.highest, 1e12):
+            share = metric.share(distance)
+            expect(0 <= share.low <= share.value <= share.high <= 1, f"a share of {share}")
+        expect(metric.distance(0.25) <= metric.distance(0.75), "fewer tell apart what is farther apart")
+        expect(0 <= metric.prefer(metric.lowest, metric.highest) <= 1, "a share of no observers")
 
 
 def make_published(folder: Path) -> None:
@@ -234,7 +303,10 @@ READERS = (
     Reader("store", STORE, make_store, use_store, (database, database), share=0.5),
     Reader("answers", "fuzzed.csv", make_answers, use_answers, (*TABLE, *TEXT), renamed=True),
     Reader("opinions", "fuzzed.csv", make_opinions, use_opinions, (*TABLE, *TEXT), renamed=True),
+    Reader("jod", "fuzzed.csv", make_jod, use_jod, (*TABLE, *TEXT), renamed=True),
+    Reader("ratings", "fuzzed.csv", make_ratings, use_ratings, (*TABLE, *TEXT), renamed=True),
     Reader("triplets", "fuzzed.json", make_triplets, use_triplets, (*JSON, *TEXT), renamed=True),
+    Reader("discrimination", "fuzzed.json", make_discrimination, use_discrimination, (*JSON, *TEXT), renamed=True),
     Reader("published", "fuzzed.json", make_published, use_published, (*JSON, *TEXT), renamed=True),
     Reader("mat", "fuzzed.mat", make_mat, use_mat, (mat, mat), renamed=True),
     Reader("factors", "fuzzed.bin", make_factors, use_factors, renamed=True, share=0.3),

@@ -8,7 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.losses import ImageLoss, Loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.catalogue import is_merl
@@ -168,21 +168,44 @@ def distances(
         `(P,)`, float64.
 
     Raises:
-        UsageError: The loss reduces, or compares values on pairs and none are given.
+        UsageError: The loss reduces, raises anything, or gives something else than a distance of each two; or it
+            compares values on pairs and none are given.
+        DataError: A distance is not finite.
     """
+    name = loss.registered_name
     if loss.reduction != "none":
         raise UsageError(f"{type(loss).__name__}: expected reduction none, found {loss.reduction}")
+    if pairs is None and not isinstance(loss, ImageLoss):
+        raise UsageError(f"{type(loss).__name__}: compares values on pairs, but no pairs were given")
     found = torch.empty(len(first), dtype=torch.float64, device="cpu")
     step = max(_BATCH_BYTES // (prediction[0].numel() * prediction.element_size()), 1)
     with torch.no_grad():
         for k in range(0, len(first), step):
             one, other = prediction[first[k : k + step]], target[second[k : k + step]]
-            if pairs is None:
-                if not isinstance(loss, ImageLoss):
-                    raise UsageError(f"{type(loss).__name__}: compares values on pairs, but no pairs were given")
-                found[k : k + step] = loss.finalize(loss.compare(one, other))
-            else:
-                found[k : k + step] = loss(one, other, pairs)
+            found[k : k + step] = _called(loss, name, one, other, pairs)
+    odd = ~found.isfinite()
+    if odd.any():
+        raise DataError(
+            f"{name}: expected finite distances, found {int(odd.sum())} of {len(found)} that are not, first "
+            f"{float(found[odd][0])}"
+        )
+    return found
+
+
+def _called(loss: Loss, name: str, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
+    """What a loss, which may be anybody's, says of each two; a UsageError for anything that is not distances."""
+    try:
+        if pairs is None and isinstance(loss, ImageLoss):
+            found = loss.finalize(loss.compare(prediction, target))
+        else:
+            found = loss(prediction, target, pairs)
+    except TorchbrdfError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever other people's code raises
+        raise UsageError(f"{name}: expected distances, but it raised {type(error).__name__}: {error}") from error
+    if not isinstance(found, Tensor) or found.shape != prediction.shape[:1]:
+        what = f"{(*found.shape,)}" if isinstance(found, Tensor) else type(found).__name__
+        raise UsageError(f"{name}: expected distances {(*prediction.shape[:1],)}, found {what}")
     return found
 
 

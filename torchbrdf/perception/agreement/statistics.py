@@ -2,16 +2,41 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
+import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
+from scipy.special import betainc, betaln
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
 
+# Of the logarithm of what single answers are spread by, in `majority_of_people`.
+_SPREADS = (-4.0, 6.0)
 # Bytes of the weights of bootstrap replicates that are held at once.
 _HELD = 2**26
+
+
+class Rated(Protocol):
+    """Approximations of materials, a row for each method and material, and how far people find each from its own."""
+
+    @property
+    def methods(self) -> list[str]:
+        """Of each of R rows, a name."""
+        ...
+
+    @property
+    def materials(self) -> list[str]:
+        """Of each row, a name."""
+        ...
+
+    @property
+    def distance(self) -> Tensor:
+        """By people, `(R,)`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -32,6 +57,11 @@ class DistanceComparisons:
 
     def __len__(self) -> int:
         return len(self.nearer)
+
+    def apart(self, distance: Tensor, least: float) -> "DistanceComparisons":
+        """Those whose two distances by people, of a vector `(n,)`, differ by more than this."""
+        keep = distance[self.farther] - distance[self.nearer] > least
+        return DistanceComparisons(*(own[keep] for own in vars(self).values()))
 
     def concordant(self, distances: Tensor) -> Tensor:
         """Which comparisons each of L sets of distances `(L, n)` orders right, `(L, C)` float64.
@@ -96,24 +126,53 @@ def single_votes(triplets: Triplets) -> DistanceComparisons:
     )
 
 
-def same_material(opinions: Opinions, *, well_separated: bool = False) -> DistanceComparisons:
-    """Pairs of methods that approximate one material and whose opinions differ; distances are one a row of opinions.
+def same_material(rated: Rated, *, well_separated: bool = False) -> DistanceComparisons:
+    """Pairs of methods that approximate one material and whose distances differ; distances are one a row.
 
     well_separated: only those that differ by more than two standard errors of the difference, sqrt(se1^2 + se2^2).
     """
-    material = _label_indices(opinions.materials)
+    material = _label_indices(rated.materials)
     first, second = _pairs(material)
-    difference = opinions.distance[first] - opinions.distance[second]
-    keep = difference.abs() > (2 * _standard_error_of_difference(opinions, first, second) if well_separated else 0)
-    return _rows(opinions, first[keep], second[keep], material, None)
+    if well_separated:
+        if not isinstance(rated, Opinions):
+            raise UsageError(f"{type(rated).__name__}: expected standard errors to tell pairs apart by, found none")
+        difference = rated.distance[first] - rated.distance[second]
+        keep = difference.abs() > 2 * _standard_error_of_difference(rated, first, second)
+        first, second = first[keep], second[keep]
+    return _rows(rated, first, second, material)
 
 
-def across_materials(opinions: Opinions) -> DistanceComparisons:
-    """Pairs of materials under one method whose opinions differ: a group for each method."""
-    method, material = _label_indices(opinions.methods), _label_indices(opinions.materials)
+def across_materials(rated: Rated) -> DistanceComparisons:
+    """Pairs of materials under one method whose distances differ: a group for each method."""
+    method, material = _label_indices(rated.methods), _label_indices(rated.materials)
     first, second = _pairs(method)
-    keep = opinions.distance[first] != opinions.distance[second]
-    return _rows(opinions, first[keep], second[keep], material, method)
+    return _rows(rated, first, second, material, method)
+
+
+def any_two(rated: Rated) -> DistanceComparisons:
+    """Pairs of any two approximations whose distances differ, of any materials by any methods."""
+    material = _label_indices(rated.materials)
+    first, second = _pairs(torch.zeros_like(material))
+    return _rows(rated, first, second, material)
+
+
+def majority_of_people(triplets: Triplets) -> Tensor:
+    """What a predictor that knows what most people would say would get of `majorities`, `(1, C)`.
+
+    A question's few votes may have gone against what most people would say. With shares of people drawn from a
+    symmetric beta distribution, whose one parameter makes the votes of all questions likeliest, it is right about a
+    question with the probability that, after its votes, the larger vote is the larger share.
+    """
+    a, b = triplets.votes.double().numpy().T
+
+    def cost(logarithm: float) -> float:
+        spread = np.exp(logarithm)
+        return float((betaln(spread, spread) - betaln(a + spread, b + spread)).sum())
+
+    spread = np.exp(minimize_scalar(cost, bounds=_SPREADS, method="bounded").x)
+    decided = a != b
+    more, less = (np.where(a > b, *part)[decided] for part in ((a, b), (b, a)))
+    return torch.from_numpy(betainc(less + spread, more + spread, 0.5))[None]
 
 
 def majority_of_votes(triplets: Triplets) -> Tensor:
@@ -150,9 +209,13 @@ def _triples(triplets: Triplets, swap: Tensor, weight: Tensor) -> DistanceCompar
 
 
 def _rows(
-    opinions: Opinions, first: Tensor, second: Tensor, material: Tensor, group: Tensor | None
+    rated: Rated, first: Tensor, second: Tensor, material: Tensor, group: Tensor | None = None
 ) -> DistanceComparisons:
-    swap = opinions.distance[first] > opinions.distance[second]
+    """Comparisons of the pairs of rows whose distances by people are not the same."""
+    distance = rated.distance
+    keep = distance[first] != distance[second]
+    first, second = first[keep], second[keep]
+    swap = distance[first] > distance[second]
     one, other = material[first], material[second]
     return DistanceComparisons(
         nearer=torch.where(swap, second, first),

@@ -1,8 +1,9 @@
 """The benchmark's table: losses by statistics, with intervals, ceilings and paired differences."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, SupportsFloat
 
 import torch
 from torch import Tensor
@@ -16,8 +17,8 @@ from torchbrdf.perception.datasets.triplets import Triplets
 
 ODD_METHOD = "ABC"
 """A method whose published parameters look otherwise than what people saw."""
-LEFT_OUT = (FACTORS, ODD_METHOD)
-"""Methods that the main columns leave out; others have each of them back, one at a time."""
+CLOSE_METHOD = FACTORS
+"""A method so close to its materials that how it does on one and on another says little; more so on stand-ins."""
 
 LABELS = {
     "majority": "triplets: majority",
@@ -26,6 +27,8 @@ LABELS = {
     "apart": "pairs apart by more than two standard errors",
     "across": "one method, across materials",
 }
+HEADS = {"majority": "triplets", "votes": "votes", "pairs": "pairs", "apart": "apart", "across": "across"}
+"""Labels of a word."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Statistic:
     """Statistic of the benchmark, one column of its table.
 
     rows: which of the distances of its data set it is about, all if None. ceiling: `(1, C)`, what disagreement between
-    people lets anything reach of each comparison, or None if it is about no single answers. added: the method that it
-    has beside those of the main columns.
+    people lets anything reach of each comparison, or None where that is not known. variant: how its methods differ
+    from those of the main columns, such as "without WARD"; main: the column that it varies.
     """
 
     key: str
@@ -44,7 +47,8 @@ class Statistic:
     ceiling: Tensor | None
     materials: int
     rows: Tensor | None = None
-    added: str = ""
+    variant: str = ""
+    main: str = ""
 
     @property
     def count(self) -> int:
@@ -87,6 +91,24 @@ class Table:
         ends = percentile_interval((self.replicates[:, :, one] - self.replicates[:, :, two]).T)
         return self.value[one] - self.value[two], ends[:, 0], ends[:, 1]
 
+    @property
+    def ranked(self) -> list[int]:
+        """Places of the losses, the best first by the first statistic that they have."""
+        return sorted(range(len(self.losses)), key=lambda k: self.value[k].nan_to_num(-1).tolist(), reverse=True)
+
+    def text(self) -> str:
+        """The main columns as lines to print, the best first: agreement with its interval, and the ceilings below."""
+        shown = [s for s, one in enumerate(self.statistics) if not one.variant]
+        rows = [["", *(f"{HEADS[self.statistics[s].key]} ({self.statistics[s].count:,})" for s in shown)]]
+        rows += [
+            [self.losses[k], *(span(self.value[k, s], self.low[k, s], self.high[k, s]) for s in shown)]
+            for k in self.ranked
+        ]
+        ends = (self.ceiling, self.ceiling_low, self.ceiling_high)
+        rows.append(["ceiling: people", *(span(*(part[s] for part in ends)) for s in shown)])
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
     def records(self) -> list[dict[str, Any]]:
         """One record for each loss and statistic."""
         return [
@@ -105,14 +127,45 @@ class Table:
         ]
 
 
-def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str] = LEFT_OUT) -> list[Statistic]:
-    """Statistics of the benchmark: of the triplets, of the opinions without some methods, then with each of these.
+def span(value: SupportsFloat, low: SupportsFloat, high: SupportsFloat, *, sign: str = "") -> str:
+    """A share and its interval in words, "none" where there is no share.
 
-    A statistic without any comparison is left out.
+    Example:
+        >>> span(0.8, 0.75, 0.84)
+        '0.800 (0.750 to 0.840)'
+    """
+    if not math.isfinite(float(value)):
+        return "none"
+    return f"{float(value):{sign}.3f} ({float(low):{sign}.3f} to {float(high):{sign}.3f})"
+
+
+def statistics_of(
+    triplets: Triplets,
+    opinions: Opinions,
+    odd: Collection[str] = (ODD_METHOD,),
+    close: Collection[str] = (CLOSE_METHOD,),
+) -> list[Statistic]:
+    """Statistics of the benchmark: of the triplets, of the opinions, and of these with other methods.
+
+    The main columns are about all methods but those that are odd, and, across materials, those that are close. Others
+    leave out one method more, or have one that is odd or close back. A statistic without any comparison is left out.
+
+    Args:
+        triplets: Questions about materials.
+        opinions: Of approximations.
+        odd: Methods that no main column is about.
+        close: Methods that the main columns of pairs of one material are about, and that across materials is not.
     """
     count = len(triplets.materials)
     found = [
-        Statistic("majority", LABELS["majority"], "triplets", statistics.majorities(triplets), None, count),
+        Statistic(
+            "majority",
+            LABELS["majority"],
+            "triplets",
+            statistics.majorities(triplets),
+            statistics.majority_of_people(triplets),
+            count,
+        ),
         Statistic(
             "votes",
             LABELS["votes"],
@@ -122,34 +175,46 @@ def statistics_of(triplets: Triplets, opinions: Opinions, without: Iterable[str]
             count,
         ),
     ]
-    own_tables = [method for method in without if method in opinions.methods]
-    for added in ("", *own_tables):
-        rows = [row for row, method in enumerate(opinions.methods) if method == added or method not in own_tables]
-        found += _of_opinions(opinions.select(rows), torch.tensor(rows, dtype=torch.long, device="cpu"), added)
+    for variant, methods in _variants(list(dict.fromkeys(opinions.methods)), odd, close):
+        found += [_of_opinions(opinions, key, variant, chosen) for key, chosen in methods.items()]
     return [one for one in found if len(one.comparisons)]
 
 
-def _of_opinions(opinions: Opinions, rows: Tensor, added: str) -> list[Statistic]:
-    suffix, said = (f"_with_{added.lower()}", f", with {added}") if added else ("", "")
-    made = {
-        "pairs": statistics.same_material(opinions),
-        "apart": statistics.same_material(opinions, well_separated=True),
-        "across": statistics.across_materials(opinions),
-    }
-    materials = len(set(opinions.materials))
-    return [
-        Statistic(
-            key + suffix,
-            LABELS[key] + said,
-            "opinions",
-            comparisons,
-            statistics.expected_order(comparisons, opinions),
-            materials,
-            rows,
-            added,
-        )
-        for key, comparisons in made.items()
-    ]
+def _variants(
+    methods: list[str], odd: Collection[str], close: Collection[str]
+) -> Iterator[tuple[str, dict[str, list[str]]]]:
+    """Which methods each column of opinions is about: the main columns, then each variant's that differ from them."""
+    main = [method for method in methods if method not in odd]
+    apart = [method for method in main if method not in close]
+    yield "", {"pairs": main, "apart": main, "across": apart}
+    for out in main:
+        fewer = {key: [method for method in own if method != out] for key, own in (("pairs", main), ("across", apart))}
+        varied = {"pairs": fewer["pairs"], "apart": fewer["pairs"], "across": fewer["across"]}
+        yield f"without {out}", varied if out in apart else {key: varied[key] for key in ("pairs", "apart")}
+    for back in methods:
+        if back not in apart:
+            more = {"across": [*apart, back]}
+            yield f"with {back}", {"pairs": [*main, back], "apart": [*main, back], **more} if back in odd else more
+
+
+def _of_opinions(opinions: Opinions, key: str, variant: str, methods: Collection[str]) -> Statistic:
+    rows = [row for row, method in enumerate(opinions.methods) if method in methods]
+    own = opinions.select(rows)
+    if key == "across":
+        comparisons = statistics.across_materials(own)
+    else:
+        comparisons = statistics.same_material(own, well_separated=key == "apart")
+    return Statistic(
+        f"{key}_{variant.lower().replace(' ', '_')}" if variant else key,
+        f"{LABELS[key]}, {variant}" if variant else LABELS[key],
+        "opinions",
+        comparisons,
+        statistics.expected_order(comparisons, own),
+        len(set(own.materials)),
+        torch.tensor(rows, dtype=torch.long, device="cpu"),
+        variant,
+        key,
+    )
 
 
 def tabulate(

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import torch
 
+from torchbrdf.errors import DataError
 from torchbrdf.measured import load
+from torchbrdf.measured.catalogue import MERL_NAMES
 from torchbrdf.perception.agreement.scores import METHODS, Approximation, BenchmarkData
 from torchbrdf.perception.datasets.factors import FACTORS, read_factors
 from torchbrdf.perception.datasets.opinions import read_opinions
@@ -27,7 +29,8 @@ def read_benchmark_data(
         opinions: The same.
 
     Raises:
-        DataError: A file is missing, and where it comes from, or bad.
+        DataError: A file is missing, and where it comes from, or bad; or opinions are about unknown materials, or only
+            about methods that nothing gives the values of.
     """
     folder = Path(human)
     parameters, tables = (Path(path) if exists(path) else folder / path for path in (fits, factors))
@@ -35,8 +38,12 @@ def read_benchmark_data(
     models: dict[str, Approximation] = {method: sets[name] for method, name in METHODS.items() if name in sets}
     if exists(tables):
         models[FACTORS] = read_factors(tables)
-    triplet_answers, opined = read_triplets(folder / triplets), read_opinions(folder / opinions)
+    triplet_answers, opined = read_triplets(folder / triplets), read_opinions(folder / opinions, MERL_NAMES)
     measured = load(materials)
     wanted = {*triplet_answers.materials, *opined.materials}
     measured = measured.batch([k for k, name in enumerate(measured.names) if name in wanted])
-    return BenchmarkData(measured, triplet_answers, opined, models)
+    data = BenchmarkData(measured, triplet_answers, opined, models)
+    if not len(data.opinions):
+        others = ", ".join(data.left_out)
+        raise DataError(f"{folder / opinions}: expected opinions of {', '.join(models)}, found only others: {others}")
+    return data

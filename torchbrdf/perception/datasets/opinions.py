@@ -1,8 +1,6 @@
 """Opinions: how far people find approximations from the material that they approximate."""
 
-import csv
-import io
-import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.names import check_name
-from torchbrdf.reading import exists, read_text
+from torchbrdf.perception.datasets.csv_table import check_head, near, number, read_rows
 
 SOURCE = (
     "the opinions of Lavoue, Bonneel, Farrugia and Soler 2021, Perceptual quality of BRDF approximations: dataset and "
@@ -61,46 +59,33 @@ class Opinions:
         )
 
 
-def read_opinions(path: Path | str) -> Opinions:
+def read_opinions(path: Path | str, materials: Collection[str] | None = None) -> Opinions:
     """Read mean opinions from a CSV file with the columns method, material, distance.
+
+    Args:
+        path: The file.
+        materials: Names that a material may have; by default any.
 
     Raises:
         DataError: The file is missing, or a line is not as expected.
     """
     path = Path(path)
-    if not exists(path):
-        raise DataError(f"{path}: no such file; expected {SOURCE}")
-    text = read_text(path, "opinions")
-    try:
-        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
-    except csv.Error as error:
-        raise DataError(f"{path}: expected CSV: {error}") from None
-    expected = ["method", "material", "distance"]
-    if not rows or rows[0] != expected:
-        found = shown(",".join(rows[0])) if rows else "nothing"
-        raise DataError(f"{path}: line 1: expected {','.join(expected)}, found {found}")
-    if len(rows) == 1:
-        raise DataError(f"{path}: expected opinions, found no row")
+    head, rows = read_rows(path, "opinions", SOURCE)
+    check_head(path, head, ["method", "material", "distance"])
     lines: dict[tuple[str, str], int] = {}
     distance = []
-    for line, row in enumerate(rows[1:], 2):
+    for line, row in enumerate(rows, 2):
+        where = f"{path}: line {line}"
         if len(row) != 3:
             found = shown(",".join(row))
-            raise DataError(f"{path}: line {line}: expected a method, a material and a distance, found {found}")
-        method, material = (check_name(name, f"{path}: line {line}") for name in row[:2])
-        value = _number(row[2])
-        if not 0 <= value <= 1:
-            raise DataError(f"{path}: line {line}: expected a distance from 0 to 1, found {shown(row[2])}")
+            raise DataError(f"{where}: expected a method, a material and a distance, found {found}")
+        method, material = (check_name(name, where) for name in row[:2])
+        if materials is not None and material not in materials:
+            found = f"{shown(material)}{near(material, materials)}"
+            raise DataError(f"{where}: expected one of {len(materials)} materials, found {found}")
+        distance.append(number(row[2], 0, 1, where, "a distance"))
         before = lines.setdefault((method, material), line)
         if before != line:
-            raise DataError(f"{path}: line {line}: {method} of {material} is already in line {before}")
-        distance.append(value)
-    methods, materials = map(list, zip(*lines, strict=True))
-    return Opinions(methods, materials, torch.tensor(distance, dtype=torch.float64, device="cpu"))
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+            raise DataError(f"{where}: {method} of {material} is already in line {before}")
+    methods, named = map(list, zip(*lines, strict=True))
+    return Opinions(methods, named, torch.tensor(distance, dtype=torch.float64, device="cpu"))

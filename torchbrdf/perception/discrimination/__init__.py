@@ -1,0 +1,1 @@
+"""What a distance means: the share of observers who would be expected to tell two things apart."""
