@@ -54,5 +54,5 @@ def test_a_page_has_the_figure_and_a_row_a_metric(tmp_path):
 
 def test_a_sheet_says_what_a_mean_difference_means():
     share = discrimination_of("delta_e76").share(3.0)
-    assert _mean(3.0) == f"mean ΔE 3.00, told apart by {share.brief}"
+    assert _mean(3.0) == f"mean ΔE 3.00\ntold apart by {share.brief}"
     assert _mean(math.nan) == "mean ΔE nan"

@@ -72,7 +72,7 @@ def command(options: Options) -> int:
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
     from torchbrdf.lobes import make_model, read_fits
-    from torchbrdf.perception.discrimination.words import MEANING, scale
+    from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
     if options.diffuse not in DIFFUSE_MODES:
@@ -110,7 +110,7 @@ def command(options: Options) -> int:
         told = "" if share is None else share.brief
         print(f"{record.material:32s} {short(record.error):>10s}  {told:22s} {record.status:14s} {'  '.join(rest)}")
     if any(shares):
-        print(f"{MEANING} In brackets: 95 % interval for one fit.")
+        print(f"{MEANING} {INTERVAL}")
     if (
         line := scale(options.difference, f"{difference_label(options.difference)} of pictures")
         if options.loss == RENDERED

@@ -18,7 +18,7 @@ from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, DIFFERENCE, colo
 from torchbrdf.files import write_json
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes, write_exr, write_png
 from torchbrdf.measured import Measured
-from torchbrdf.perception.discrimination.words import MEANING, brief, scale
+from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, brief, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Scene, render
 from torchbrdf.report.style import new_figure
@@ -140,7 +140,7 @@ def write_sheet(
             figure.colorbar(ScalarMappable(Normalize(0, BRIGHTEST), COLOR_MAP), cax=bar, extend="max")
             bar.set_ylabel("CIELAB ΔE 76 to the reference, pixel by pixel", fontsize=7.5)
             bar.tick_params(labelsize=7.5)
-            meant = f"{scale(DIFFERENCE, f'mean {difference_label(DIFFERENCE)}')}. {MEANING}"
+            meant = f"{scale(DIFFERENCE, f'mean {difference_label(DIFFERENCE)}')}. {MEANING} {INTERVAL}"
             lines = textwrap.fill(meant, int(figure.get_figwidth() * LETTERS_OF_FOOT))
             figure.text(0.01, 0.5 * foot / (height + foot), lines, fontsize=7, va="center")
 
@@ -172,7 +172,7 @@ def sheet_cells(items: Sequence[Item]) -> list[SheetCell]:
 def _mean(delta_e: float) -> str:
     """What stands above a map."""
     share = brief(DIFFERENCE, delta_e, interval=True)
-    return f"mean ΔE {delta_e:.2f}" + (f", told apart by {share}" if share else "")
+    return f"mean ΔE {delta_e:.2f}" + (f"\ntold apart by {share}" if share else "")
 
 
 def _title(item: Item) -> str:

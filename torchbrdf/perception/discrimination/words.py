@@ -12,6 +12,8 @@ MEANING = (
     "itself beside them; the others guess."
 )
 
+INTERVAL = "In brackets: 95 % interval for one fit."
+
 
 def brief(metric: str, distance: float, *, interval: bool = False) -> str:
     """The share, such as `40 %`, or with its interval `40 % (20 to 65)`; empty where it is not known."""
