@@ -108,6 +108,7 @@ def test_ratings_are_read(tmp_path):
         (",10,", ",0,", "line 3: n: expected a whole number of at least 1, found '0'"),
         (",10,", ",ten,", "line 3: n: expected a whole number"),
         ("0.6,1.2", "0.6", "line 3: expected 6 cells, found 5"),
+        (RATINGS.partition("\n")[2], "", "expected mean ratings, found no row"),
         (RATINGS, "", "line 1: expected image, n"),
     ],
 )
