@@ -8,8 +8,8 @@ import torch
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, ShapeError, TorchbrdfError, UsageError
-from torchbrdf.losses import CubeRootLoss, RMSLoss
-from torchbrdf.perception import as_metric, find_metric, score, uniform_pairs
+from torchbrdf.losses import LOSSES, CubeRootLoss, RMSLoss
+from torchbrdf.perception import FORMULAS, as_metric, find_metric, score, uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, sphere
 
@@ -205,6 +205,22 @@ def test_the_command_prints_a_table_and_writes_all_or_nothing(module, tmp_path, 
     caught = capsys.readouterr()
     assert caught.out == "" and caught.err.startswith(f"torchbrdf: {module}:fails: expected distances")
     assert caught.err.count("\n") == 1 and not bad.exists()
+
+
+def test_a_loss_that_fails_is_left_out_unless_it_was_asked_for(monkeypatch, capsys):
+    few = ["score", "--quick", "--samples", "40", "--replicates", "5"]
+
+    def fails(self, prediction, target, pairs=None, weight=None):
+        raise ValueError("not today")
+
+    monkeypatch.setattr(LOSSES["log"], "forward", fails)
+    assert main(few) == 0
+    caught = capsys.readouterr()
+    assert caught.err == "torchbrdf: log is left out: log: expected distances, but it raised ValueError: not today\n"
+    rows = {line.split()[0] for line in caught.out.splitlines()[2:]}
+    assert rows == {*LOSSES, *FORMULAS, "ceiling:"} - {"log"}
+    assert main([*few, "--metric", "log", "--metric", "rms"]) == 2
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize(

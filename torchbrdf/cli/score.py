@@ -1,5 +1,6 @@
 """`torchbrdf score`: metrics of BRDFs against what people answered."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,9 @@ def command(options: Options) -> int:
     from torchbrdf.perception import score, uniform_pairs
     from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
 
-    metrics = _metrics(options)
+    # One that was asked for has to work; of all that there are, those that fail are left out.
+    left_out: dict[str, str] = {}
+    metrics = _metrics(options, left_out)
     data = synthetic_benchmark(seed=options.seed) if options.quick else _read(options)
     samples = options.samples or (500 if options.quick else 6000)
     table = score(
@@ -75,7 +78,12 @@ def command(options: Options) -> int:
         replicates=options.replicates,
         seed=options.seed,
         progress=progress_bar("metrics"),
+        left_out=None if options.metric else left_out,
     )
+    for name, why in left_out.items():
+        say(f"torchbrdf: {name} is left out: {why}", to=sys.stderr)
+    if not table.losses:
+        raise UsageError("score: no metric could be scored")
     if options.out:
         write_scores(Path(options.out), table)
     if options.quick:
@@ -89,7 +97,7 @@ def command(options: Options) -> int:
     return 0
 
 
-def _metrics(options: Options) -> "dict[str, Loss]":
+def _metrics(options: Options, left_out: dict[str, str]) -> "dict[str, Loss]":
     """The metrics that are asked for, by their names in the table."""
     from torchbrdf.losses import LOSSES
     from torchbrdf.perception import FORMULAS, find_metric, metric_label
@@ -99,7 +107,12 @@ def _metrics(options: Options) -> "dict[str, Loss]":
     for text in options.metric or ([] if options.difference else (*LOSSES, *FORMULAS)):
         if metric_label(text) in found:
             raise UsageError(f"score: --metric: expected {metric_label(text)} once, found twice")
-        found[metric_label(text)] = find_metric(text)
+        try:
+            found[metric_label(text)] = find_metric(text)
+        except UsageError as error:
+            if options.metric:
+                raise
+            left_out[text] = str(error)
     if options.difference:
         scene = Scene(sphere(), Camera(), Environment.default(), size=options.size)
         for name in options.difference:

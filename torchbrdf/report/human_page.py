@@ -198,7 +198,8 @@ def trained(table: Table) -> list[str]:
         for name, (share, low, high) in known.items()
         if name in LABELS
     ]
-    unseen = f" On halves of the materials that it did not see: {'; '.join(shares)}." if shares else ""
+    methods = f" (across materials with {CLOSE_METHOD})" if "across" in known else ""
+    unseen = f" On halves of the materials that it did not see{methods}: {'; '.join(shares)}." if shares else ""
     return [
         "The learned metric that comes with torchbrdf was trained on published answers of these studies, those about "
         f"{CLOSE_METHOD} too: here it is asked about what it may have seen.{unseen} Train one with torchbrdf run "

@@ -3,10 +3,11 @@
 The scores are of approximations whose tables, or parameters, do not come with them, so that a metric of BRDFs cannot be
 asked about them. A fit of the same model by other hands is another approximation, and looks otherwise: where this study
 and that of the opinions have a model and a material in common (nine materials, under Ward and GGX), people order the
-materials no more alike than by chance; and what they think of two fits of one model by different hands (`WARD` and
-`WARD-OURS` of the opinions) orders materials the same way in 69 to 84 of 100 pairs. The stand-ins of MERL's tables are
-neural fits, as `nbrdf` is: on them its distances would be 0. What is left without tables is the colour difference of
-pictures that comes with the scores; `score_jod` scores any metric for those who have the tables.
+materials no more alike than by chance, as far as so few can tell; and what they think of two fits of one model by
+different hands (`WARD` and `WARD-OURS` of the opinions) orders materials the same way in 69 to 84 of 100 pairs.
+Stand-ins of MERL's tables are neural fits, as `nbrdf` is: what lies between two of them says nothing of either's
+distance from the material. What is left without tables is the colour difference of pictures that comes with the scores;
+`score_jod` scores any metric for those who have the tables.
 """
 
 from collections.abc import Mapping

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import torch
 
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import TorchbrdfError, UsageError
 from torchbrdf.losses import ImageLoss, Loss
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception.agreement.metrics import Metric, named_metrics
@@ -27,6 +27,7 @@ def score(
     replicates: int = 1000,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    left_out: dict[str, str] | None = None,
 ) -> Table:
     """Score a metric by what people answered: how often it orders two distances as they do.
 
@@ -44,6 +45,7 @@ def score(
         replicates: Of the bootstrap over materials.
         seed: Of the pairs and the bootstrap.
         progress: Called with (metrics done, of how many).
+        left_out: Gets those metrics that fail, with why, which are then left out; None: the first that fails raises.
 
     Returns:
         A table with a row for each metric and a column for each statistic: `majority` and `votes` of the triplets,
@@ -73,11 +75,16 @@ def score(
     brdfs: EvaluatedBrdfs | None = None
     found: dict[str, Distances] = {}
     for done, (name, loss) in enumerate(losses.items(), 1):
-        if isinstance(loss, ImageLoss):
-            found[name] = distances_of(loss, data, evaluate_brdfs(data, loss.pairs.to(dtype=torch.float32), loss))
-        else:
-            brdfs = brdfs or evaluate_brdfs(data, pairs)
-            found[name] = distances_of(loss, data, brdfs)
+        try:
+            if isinstance(loss, ImageLoss):
+                own = evaluate_brdfs(data, loss.pairs.to(dtype=torch.float32), loss)
+            else:
+                own = brdfs = brdfs or evaluate_brdfs(data, pairs)
+            found[name] = distances_of(loss, data, own)
+        except TorchbrdfError as error:
+            if left_out is None:
+                raise
+            left_out[name] = str(error)
         if progress is not None:
             progress(done, len(losses))
     return tabulate(statistics_of(data.triplets, data.opinions), found, replicates, seed)

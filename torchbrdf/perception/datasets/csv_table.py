@@ -20,7 +20,7 @@ def read_rows(path: Path, what: str, source: str) -> tuple[list[str], list[list[
         source: Where the file comes from.
 
     Raises:
-        DataError: There is no such file, it is no CSV, or has no head or no row.
+        DataError: There is no such file, or it is no CSV.
     """
     if not exists(path):
         raise DataError(f"{path}: no such file; expected {source}")
@@ -29,8 +29,6 @@ def read_rows(path: Path, what: str, source: str) -> tuple[list[str], list[list[
         rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except csv.Error as error:
         raise DataError(f"{path}: expected CSV: {error}") from None
-    if len(rows) == 1 and rows[0]:
-        raise DataError(f"{path}: expected {what}, found no row")
     return (rows[0], rows[1:]) if rows else ([], [])
 
 
@@ -39,6 +37,12 @@ def check_head(path: Path, head: list[str], expected: list[str]) -> None:
     if head != expected:
         found = shown(",".join(head)) if head else "nothing"
         raise DataError(f"{path}: line 1: expected {','.join(expected)}, found {found}")
+
+
+def check_rows(path: Path, rows: list[list[str]], what: str) -> None:
+    """A DataError where there is no row."""
+    if not rows:
+        raise DataError(f"{path}: expected {what}, found no row")
 
 
 def number(text: str, low: float, high: float, where: str, what: str) -> float:

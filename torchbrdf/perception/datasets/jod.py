@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.names import check_name
-from torchbrdf.perception.datasets.csv_table import check_head, number, read_rows
+from torchbrdf.perception.datasets.csv_table import check_head, check_rows, number, read_rows
 
 SOURCE = (
     "the JOD scores of Kavoosighafi et al. 2025, Perceived quality of BRDF models, doi:10.1111/cgf.70162, given at "
@@ -69,6 +69,7 @@ def read_jod(path: Path | str) -> JodScores:
     path = Path(path)
     head, rows = read_rows(path, "JOD scores", SOURCE)
     check_head(path, head, HEAD)
+    check_rows(path, rows, "JOD scores")
     names: dict[str, int] = {}
     asked: dict[tuple[str, str, str], int] = {}
     scores = []

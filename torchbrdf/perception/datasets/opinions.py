@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.names import check_name
-from torchbrdf.perception.datasets.csv_table import check_head, near, number, read_rows
+from torchbrdf.perception.datasets.csv_table import check_head, check_rows, near, number, read_rows
 
 SOURCE = (
     "the opinions of Lavoue, Bonneel, Farrugia and Soler 2021, Perceptual quality of BRDF approximations: dataset and "
@@ -72,6 +72,7 @@ def read_opinions(path: Path | str, materials: Collection[str] | None = None) ->
     path = Path(path)
     head, rows = read_rows(path, "opinions", SOURCE)
     check_head(path, head, ["method", "material", "distance"])
+    check_rows(path, rows, "opinions")
     lines: dict[tuple[str, str], int] = {}
     distance = []
     for line, row in enumerate(rows, 2):

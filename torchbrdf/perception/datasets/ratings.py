@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.names import check_name
-from torchbrdf.perception.datasets.csv_table import near, number, read_rows
+from torchbrdf.perception.datasets.csv_table import check_rows, near, number, read_rows
 
 SOURCE = (
     "the mean ratings of the surveys of Serrano et al. 2016, An intuitive control space for material appearance, "
@@ -102,6 +102,7 @@ def read_ratings(path: Path | str, materials: Collection[str] | None = None) -> 
         raise DataError(
             f"{path}: line 1: expected image, n, and NAME_mean and NAME_sd of each attribute, found {found}"
         )
+    check_rows(path, rows, "mean ratings")
     for name in attributes:
         check_name(name, f"{path}: line 1")
     lines: dict[str, int] = {}
