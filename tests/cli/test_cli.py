@@ -22,7 +22,7 @@ def test_fit_prints_and_writes(paint, tmp_path, capsys):
     assert "paint" in printed.out and "roughness" in printed.out
     assert printed.err == ""  # no progress bar where there is no terminal
     (record,) = json.loads((out / "fits.json").read_text())
-    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cube_root"
+    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "learned"
     assert (out / "fits.csv").read_text().count("\n") == 2
 
 
@@ -96,7 +96,7 @@ def test_run_lists_recipes_and_settings(capsys):
         (
             ["fit", "PAINT", "--difference", "flip"],
             2,
-            "--difference: expected only with --loss rendered, found --loss cu",
+            "--difference: expected only with --loss rendered, found --loss le",
         ),
         (["fit", "PAINT", "--size", "64", "--loss", "rms"], 2, "--size: expected only with --loss rendered"),
         (["fit", "PAINT", "--loss", "rendered", "--difference", "nope"], 2, "unknown difference 'nope'"),

@@ -38,7 +38,9 @@ def add(commands: Commands) -> None:
         "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one, 1 to 8 (default 2)"
     )
     parser.add_argument(
-        "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"
+        "--loss",
+        default="learned",
+        help="learned (default), rms, cosine_rms, cube_root, compressed, log, ..., rendered",
     )
     of = "of a rendered loss:"
     parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")
@@ -47,7 +49,11 @@ def add(commands: Commands) -> None:
     parser.add_argument("--size", type=whole(8, 1024), help=f"{of} pixels of a side, 8 to 1024 (default 128)")
     parser.add_argument("--lights", type=whole(1, 16384), help=f"{of} lights in the scene, 1 to 16384 (default 1024)")
     parser.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
-    parser.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
+    parser.add_argument(
+        "--diffuse",
+        help="the diffuse albedo: 45:0, measured and held; fit, with the rest; by default what looks best under the "
+        "loss, fit for learned and rendered, 45:0 for others",
+    )
     parser.add_argument(
         "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
     )
@@ -72,7 +78,7 @@ def command(options: Options) -> int:
     from torchbrdf.lobes import make_model, read_fits
 
     STRATEGIES[options.strategy]
-    if options.diffuse not in DIFFUSE_MODES:
+    if options.diffuse is not None and options.diffuse not in DIFFUSE_MODES:
         raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
     model = make_model(options.model, options.lobes)
     _check_loss(options)

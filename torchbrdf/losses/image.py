@@ -30,6 +30,7 @@ class ImageLoss(Loss):
 
     objective = "image"
     supports_subsampling = False
+    default_diffuse = "fit"
 
     def observe(self, values: Tensor) -> Tensor:
         """What is observed of values `(M, N, 3)`, `(M, P, 3)`; differentiable."""
