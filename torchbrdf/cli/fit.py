@@ -20,9 +20,9 @@ OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
 
-  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cube_root
+  torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
-  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76 --diffuse fit
+  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76
 
 The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
 and it goes on from there.
