@@ -72,6 +72,7 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
+    from torchbrdf.experiment.labels import diffuse_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
@@ -105,7 +106,7 @@ def command(options: Options) -> int:
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
-    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
+    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters, {diffuse_label(batches.settings['diffuse'])}")
     for record in records:
         rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
         rest += [f"({note})" for note in _notes(record)]
