@@ -2,7 +2,6 @@
 
 from torchbrdf.losses import functional
 from torchbrdf.losses.base import LOSSES, Loss
-from torchbrdf.losses.binned import BinAssignment, BinnedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
@@ -16,8 +15,6 @@ from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 
 __all__ = [
     "LOSSES",
-    "BinAssignment",
-    "BinnedLoss",
     "CompressedLoss",
     "CosineRMSLoss",
     "CubeRootLoss",
