@@ -81,7 +81,7 @@ def fits_of(measured, options):
     for model in options.models:
         for name in options.losses:
             loss = loss_of(name)
-            for diffuse in options.diffuse if name != RENDERED else ("fit",):
+            for diffuse in options.diffuse:
                 out = options.out / f"{model}-{name}-{diffuse.replace(':', '-')}"
                 batches = Batches(
                     make_model(model, 2), loss, out=out, diffuse=diffuse, strategy="global", max_theta=80.0,

@@ -214,7 +214,7 @@ def test_what_older_fits_do_not_say_is_called_so(paint, tmp_path, capsys):
     del record["diffuse"]
     (tmp_path / "fits.json").write_text(json.dumps([record]))
     assert main(arguments) == 1
-    assert "was fitted with diffuse that the file does not say, not '45:0'" in capsys.readouterr().err
+    assert "was fitted with diffuse that the file does not say, not 'fit'" in capsys.readouterr().err
 
 
 def test_words_may_stand_behind_options(paint, tmp_path, capsys):

@@ -23,7 +23,7 @@ from torchbrdf.lobes import (
     read_fits,
     write_fits,
 )
-from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, RMSLoss
+from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, LearnedLoss, RMSLoss
 from torchbrdf.measured import load
 
 TRUTHS = {
@@ -94,7 +94,11 @@ class FreeLoss(RMSLoss):
     default_diffuse = "fit"
 
 
-@pytest.mark.parametrize(("loss", "expected"), [(RMSLoss(), "45:0"), (FreeLoss(), "fit")])
+@pytest.mark.parametrize(
+    ("loss", "expected"),
+    [(RMSLoss(), "45:0"), (FreeLoss(), "fit"), (LearnedLoss(), "fit")],
+    ids=["held", "free", "learned"],
+)
 def test_a_fit_that_is_not_told_treats_the_diffuse_albedo_as_its_loss_has_it(loss, expected):
     measured = measured_from(TRUTHS["ward"].double())
     found, told = (
