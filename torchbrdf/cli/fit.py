@@ -20,9 +20,9 @@ OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
 
-  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cube_root
+  torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
-  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76 --diffuse fit
+  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76
 
 The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
 and it goes on from there.
@@ -40,7 +40,9 @@ def add(commands: Commands) -> None:
         "--lobes", type=whole(1, 8), help="specular lobes beside the diffuse term, 1 to 8 (default 2, or those named)"
     )
     parser.add_argument(
-        "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered"
+        "--loss",
+        default="learned",
+        help="learned (default), rms, cosine_rms, cube_root, compressed, log, ..., rendered",
     )
     of = "of a rendered loss:"
     parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")
@@ -49,7 +51,11 @@ def add(commands: Commands) -> None:
     parser.add_argument("--size", type=whole(8, 1024), help=f"{of} pixels of a side, 8 to 1024 (default 128)")
     parser.add_argument("--lights", type=whole(1, 16384), help=f"{of} lights in the scene, 1 to 16384 (default 1024)")
     parser.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
-    parser.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
+    parser.add_argument(
+        "--diffuse",
+        help="the diffuse albedo: 45:0, measured and held; fit, with the rest; by default what looks best under the "
+        "loss, fit for learned and rendered, 45:0 for others",
+    )
     parser.add_argument(
         "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
     )
@@ -69,7 +75,7 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
     from torchbrdf.experiment.discrimination import shares_of_fits
-    from torchbrdf.experiment.labels import difference_label
+    from torchbrdf.experiment.labels import difference_label, diffuse_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
@@ -77,7 +83,7 @@ def command(options: Options) -> int:
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
-    if options.diffuse not in DIFFUSE_MODES:
+    if options.diffuse is not None and options.diffuse not in DIFFUSE_MODES:
         raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
     model = make_model(options.model, options.lobes)
     _check_loss(options)
@@ -104,7 +110,8 @@ def command(options: Options) -> int:
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
-    print(f"{'material':32s} {'error':>10s}  {'told apart by':22s} {'status':14s} parameters")
+    diffuse = diffuse_label(batches.settings["diffuse"])
+    print(f"{'material':32s} {'error':>10s}  {'told apart by':22s} {'status':14s} parameters, {diffuse}")
     shares = shares_of_fits(groups, records)
     for record, share in zip(records, shares, strict=True):
         rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]

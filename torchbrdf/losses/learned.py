@@ -141,6 +141,7 @@ class LearnedLoss(Loss):
     needs = ("cos_i", "cos_o", "theta_h", "theta_d")
     objective = "binned"
     is_root = False
+    default_diffuse = "fit"
     # Differences of logarithms, and a tenth of that of cube roots.
     smoothing_widths = (0.2, 0.05, 0.01)
 
