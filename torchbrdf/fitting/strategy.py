@@ -34,13 +34,14 @@ class Outcome:
     """The values a strategy has come to, and the stages on the way.
 
     starts: how many it tried; near_optimal: of each material, how many other minima it found close to the best error
-    on the subset.
+    on the subset; chosen: of each, the loss whose fit was kept, where several were tried.
     """
 
     values: ParameterDict
     stages: list[Stage] = field(default_factory=list)
     starts: int = 1
     near_optimal: list[int] = field(default_factory=list)
+    chosen: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: ParameterDict, found: Solution) -> None:
         """Record a stage."""
