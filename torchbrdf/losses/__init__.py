@@ -3,6 +3,7 @@
 from torchbrdf.losses import functional
 from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.binned import BinAssignment, BinnedLoss
+from torchbrdf.losses.combined import CombinedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
@@ -18,6 +19,7 @@ __all__ = [
     "LOSSES",
     "BinAssignment",
     "BinnedLoss",
+    "CombinedLoss",
     "CompressedLoss",
     "CosineRMSLoss",
     "CubeRootLoss",

@@ -16,7 +16,7 @@ class ImageLoss(Loss):
     """Compares P observations of three channels that follow linearly from the values on the problem's own pairs.
 
     A subclass gives `observe` and `observe_basis`, the linear function, `compare`, what a fit minimises, and
-    `quadratic_majorizer` if it can. Fits use that a model is a sum of colours times scalar functions: they observe
+    `quadratic_majorizer` if it can; and its `pairs`. Fits use that a model is a sum of colours times scalar functions: they observe
     those once in a step, and everything else happens in the observations.
 
     Args:
@@ -30,6 +30,8 @@ class ImageLoss(Loss):
 
     objective = "image"
     supports_subsampling = False
+    pairs: Pairs
+    """Where it needs values, `(1, N)`."""
 
     def observe(self, values: Tensor) -> Tensor:
         """What is observed of values `(M, N, 3)`, `(M, P, 3)`; differentiable."""
