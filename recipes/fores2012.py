@@ -29,6 +29,7 @@ class Fores2012(FitGridRecipe):
 
     name = "fores2012"
 
+    diffuse: str = field(default="45:0", metadata={"help": "45:0 as in the paper, or fit: every loss chooses its own"})
     lobes: int = field(default=2, metadata={"help": "specular lobes; 1 also fits two and compares", **LOBE_COUNTS})
     compare_strategy: str | None = field(default="staged", metadata={"help": OTHER})
     environment: str = field(default=GROVE, metadata={"help": "grove, studio, or an .exr or .hdr light probe"})

@@ -30,8 +30,8 @@ class FitGrid:
         lobes: Numbers of specular lobes; the fits with the first of them are those that are drawn.
         strategy: How they are fitted.
         compare_strategy: Another strategy, whose fits with the first number of lobes are compared with these.
-        diffuse: As in `torchbrdf.fit`, as the next three.
-        max_theta: In degrees.
+        diffuse: How all fits alike treat the diffuse albedo, `45:0` or `fit`.
+        max_theta: As in `torchbrdf.fit`, as the next two; in degrees.
         samples: Pairs that the solver sees.
         seed: Of the subset.
         records: One a fit.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from torchbrdf.experiment.labels import loss_label, model_label
+from torchbrdf.experiment.labels import diffuse_label, loss_label, model_label
 from torchbrdf.measured import Measured, StandIn
 from torchbrdf.measured.load import number_repeats
 from torchbrdf.names import clean_name, file_stem
@@ -91,6 +91,6 @@ def _item(group: Measured, row: int) -> Item:
     if not record.strategy:
         return Item(f"{name} (stand-in)", name, "stand-in", stem=name)
     lobes = f"{record.lobes} lobe{'' if record.lobes == 1 else 's'}"
-    how = [model_label(record.model), lobes, loss_label(record.loss), record.strategy]
+    how = [model_label(record.model), lobes, loss_label(record.loss), record.strategy, diffuse_label(record.diffuse)]
     stem = [name, record.model, lobes.replace(" ", "-"), record.loss, record.strategy]
     return Item(clean_name(f"{name}: {', '.join(filter(None, how))}"), name, "fit", stem="-".join(filter(None, stem)))

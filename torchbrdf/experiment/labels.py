@@ -49,6 +49,16 @@ def model_label(name: str) -> str:
     return MODEL_LABELS.get(name) or "-".join(word.capitalize() for word in name.split("_"))
 
 
+def diffuse_label(mode: str) -> str:
+    """How fits treat the diffuse albedo, for people: nothing where a record does not say.
+
+    Example:
+        >>> diffuse_label("45:0"), diffuse_label("fit")
+        ('diffuse held at 45:0', 'diffuse fitted')
+    """
+    return {"45:0": "diffuse held at 45:0", "fit": "diffuse fitted"}.get(mode, mode)
+
+
 def caveat(stand_in: bool, *others: str) -> str:
     """What has to be written on a figure: that it shows stand-ins, and whatever else there is."""
     return "; ".join([*([STAND_IN] if stand_in else []), *(other for other in others if other)])

@@ -6,7 +6,7 @@ from typing import Any
 
 from torchbrdf.experiment import statistics
 from torchbrdf.experiment.grid import FitGrid, picture_name
-from torchbrdf.experiment.labels import caveat, difference_label, loss_label, model_label
+from torchbrdf.experiment.labels import caveat, difference_label, diffuse_label, loss_label, model_label
 from torchbrdf.experiment.pictures import DIFFERENCE, ONLY, SHOWN_DIFFERENCES, Pictures
 from torchbrdf.experiment.plan import Responses
 from torchbrdf.experiment.scaling import scale_experiments
@@ -60,7 +60,7 @@ def write_grid_report(
         columns=len(grid.losses) + 2,
         lobes=grid.lobes[0],
         strategy=grid.strategy,
-        diffuse=grid.diffuse,
+        diffuse=diffuse_label(grid.diffuse),
         max_theta=f"{grid.max_theta:g}",
         samples=f"first a stratified subset of {grid.samples}, then all" if grid.samples else "all of them",
         stand_in=stand_in,
@@ -192,7 +192,10 @@ def _difference_table(grid: FitGrid, order: Sequence[str]) -> Table:
             key=lambda value: statistics.penalty(value, name),
         )
 
-    note = "Between the picture of each fit and the reference in the same view, over the object. Bold: the best."
+    note = (
+        "Between the picture of each fit and the reference in the same view, over the object; "
+        f"{diffuse_label(grid.diffuse)}. Bold: the best."
+    )
     rows = [(name, model) for name in order for model in grid.models]
     columns = [difference(name, loss) for name in SHOWN_DIFFERENCES for loss in grid.losses]
     head: list[Column[tuple[str, str]]] = [

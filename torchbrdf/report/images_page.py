@@ -8,7 +8,7 @@ import numpy as np
 
 from torchbrdf.experiment import statistics
 from torchbrdf.experiment.grid import FitGrid, picture_name
-from torchbrdf.experiment.labels import difference_label, loss_label, model_label
+from torchbrdf.experiment.labels import difference_label, diffuse_label, loss_label, model_label
 from torchbrdf.experiment.pictures import BRIGHTEST, DIFFERENCE, Pictures
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
@@ -45,6 +45,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     page = template("images.html").render(
         title=TITLE,
         grid=grid,
+        diffuse=diffuse_label(grid.diffuse),
         stand_in=grid.stand_in,
         problems=problems,
         findings=findings(pictures, training, unseen, analytic, rendered),
@@ -155,7 +156,8 @@ def _difference_table(pictures: Pictures, scene: str, words: str) -> Table:
         best = max if DIFFERENCES[name].higher_is_better else min
         return Column(difference_label(name), lambda loss: statistics.mean_difference(records, loss, name), ".3f", best)
 
-    note = f"Means over all materials and models, in the {scene} scene ({words}). Bold: the best."
+    treated = diffuse_label(pictures.grid.diffuse)
+    note = f"Means over all materials and models, in the {scene} scene ({words}); {treated}. Bold: the best."
     columns = [Column("fits under", loss_label), *map(difference, pictures.differences)]
     return table(f"Fits judged by pictures: {scene} scene", note, pictures.grid.losses, columns)
 
