@@ -60,7 +60,7 @@ STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torc
 
 
 def strategy_name(strategy: str | Strategy) -> str:
-    """The name that a strategy is registered under; of another one, what it calls itself."""
+    """The name that a strategy is registered under; of another one, what it calls itself, in one line."""
     if isinstance(strategy, str):
         return STRATEGIES.canonical(strategy)
-    return STRATEGIES.name_of(strategy) or str(getattr(strategy, "__name__", repr(strategy)))
+    return STRATEGIES.name_of(strategy) or " ".join(str(getattr(strategy, "__name__", repr(strategy))).split())

@@ -28,7 +28,7 @@ FITTED = (
 NUMBERS = ("error", "subset_error", "errors", "differences", "pictures")
 # Fields of text that people are shown, and how long they may be.
 TEXTS = {
-    "loss": 200, "strategy": 200, "chosen": 200, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
+    "loss": 200, "strategy": 2000, "chosen": 2000, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
     "at_bounds": 200,
 }  # fmt: skip
 # Of a model, in 1/sr: beyond what any surface reflects.
