@@ -3,7 +3,9 @@
 import copy
 import json
 import pickle
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,20 +15,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchbrdf import fit
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import Lambert, Sum, Ward, make_model
 from torchbrdf.losses import LOSSES, LearnedLoss
-from torchbrdf.losses.learned import (
-    BIN_COUNT,
-    FLOOR,
-    LARGEST_WEIGHT,
-    encode,
-    features,
-    pack_weights,
-    read_weights,
-    soft_bins,
-    unpack_weights,
-)
+from torchbrdf.losses.bins import BIN_COUNT, soft_bins
+from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, LARGEST_CONSTANT, read_metric
 from torchbrdf.measured import load, standins
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -35,14 +28,19 @@ from torchbrdf.perception import uniform_pairs
 PAIRS = uniform_pairs(2000)
 
 
-def glossy(roughness: float, specular: float = 0.2, diffuse: float = 0.3) -> Tensor:
+def glossy(roughness: float, specular: float = 0.2, diffuse: float = 0.3, pairs: Pairs = PAIRS) -> Tensor:
     with torch.no_grad():
         ward = Ward(specular=[specular] * 3, roughness=roughness, dtype=torch.float64)
-        return Sum(Lambert(albedo=[diffuse, diffuse / 2, diffuse / 3], dtype=torch.float64), ward)(PAIRS)
+        return Sum(Lambert(albedo=[diffuse, diffuse / 2, diffuse / 3], dtype=torch.float64), ward)(pairs)
 
 
-def distance(one: Tensor, other: Tensor, pairs: Pairs = PAIRS, weight: Tensor | None = None) -> float:
-    return float(LearnedLoss(reduction="none")(one, other, pairs, weight))
+def distance(one: Tensor, other: Tensor, pairs: Pairs = PAIRS, weight: Tensor | None = None, **options: Any) -> float:
+    return float(LearnedLoss(reduction="none", **options)(one, other, pairs, weight))
+
+
+def changed(**constants: float) -> dict[str, Any]:
+    """A metric with these constants, and 0 in the place of the others."""
+    return {"constants": dict.fromkeys(CONSTANTS, 0.0) | constants}
 
 
 materials = st.builds(glossy, st.floats(0.02, 0.5), st.floats(0.01, 0.9), st.floats(0.001, 0.9))
@@ -57,23 +55,55 @@ def test_it_is_a_metric(a: Tensor, b: Tensor, c: Tensor) -> None:
 
 
 def test_it_grows_along_paths() -> None:
-    """Away from a material: rougher, brighter, more strongly coloured; and in proportion along a straight path of e."""
+    """Away from a material: rougher, brighter, more strongly coloured."""
     base = glossy(0.1)
     rougher = [distance(base, glossy(x)) for x in (0.1, 0.12, 0.15, 0.2, 0.3)]
     brighter = [distance(base, base * x) for x in (1.0, 1.1, 1.3, 1.8, 3.0)]
     redder = [distance(base, base * torch.tensor([x, 1, 1 / x])) for x in (1.0, 1.1, 1.3, 1.8, 3.0)]
     for found in (rougher, brighter, redder):
         assert found[0] == 0 and np.diff(found).min() > 0
-    cosines = (PAIRS.cos_i * PAIRS.cos_o)[..., None]
-    near, far = encode(base, PAIRS), encode(glossy(0.3), PAIRS)
-    along = [distance(base, (((1 - t) * near + t * far) ** 4 - FLOOR) / cosines) for t in (0.25, 0.5, 1.0)]
-    assert along[0] / along[2] == pytest.approx(0.25, rel=1e-9) and along[1] / along[2] == pytest.approx(0.5, rel=1e-9)
 
 
-def test_a_common_factor_is_a_fourth_root_of_it() -> None:
-    """Exactly, if FLOOR is scaled as well; nearly, for values well above it."""
+def test_terms_times_constants_are_the_distance() -> None:
+    """And so, what one of them is alone."""
+    one, other = glossy(0.1), glossy(0.3, 0.1, 0.2)
+    terms = LearnedLoss().terms(one, other, PAIRS)
+    assert terms.shape == (6,) and terms.dtype == torch.float64
+    constants = read_metric(None)["constants"]
+    own = torch.tensor([constants[name] for name in CONSTANTS], dtype=torch.float64)
+    assert float(terms @ own) == pytest.approx(distance(one, other), rel=1e-12)
+    for k, name in enumerate(CONSTANTS):
+        assert distance(one, other, weights=changed(**{name: 2.0})) == pytest.approx(2 * float(terms[k]), rel=1e-12)
+
+
+def test_what_each_term_sees() -> None:
+    """Brightness is no gloss, gloss no colour; and errors that cancel in a bin are single ones."""
+    base = glossy(0.1)
+    luminance, gloss_0, gloss_5, lobe, body, single = LearnedLoss().terms(2 * base, base, PAIRS).tolist()
+    assert luminance == pytest.approx(np.log(2), rel=0.1) and single == pytest.approx(np.log(2), rel=0.1)
+    assert max(gloss_0, gloss_5) < 0.05 and min(lobe, body) > 0  # a colour twice as bright is more of it
+    grey = (base @ torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64))[:, None].expand(-1, 3)
+    luminance, gloss_0, gloss_5, lobe, body, _ = LearnedLoss().terms(grey, base, PAIRS).tolist()
+    assert max(luminance, gloss_0, gloss_5) < 1e-12 and body > 0.03
+    sign = torch.where(torch.arange(2000) % 2 == 0, 1.2, 0.8).double()[:, None]
+    *averages, single = LearnedLoss().terms(base * sign, base, PAIRS).tolist()
+    assert single > 0.15 and averages[0] < 0.05
+
+
+def test_the_docstring_has_the_constants_that_come_with_it() -> None:
+    said = dict(re.findall(r"w\d  (\w+) +([\d.]+)", LearnedLoss.__doc__ or ""))
+    assert {name: float(value) for name, value in said.items()} == read_metric(None)["constants"]
+    assert list(read_metric(None)["constants"]) == list(CONSTANTS)
+
+
+def test_a_scale_is_a_factor_of_both() -> None:
     one, other = glossy(0.1), glossy(0.2)
-    assert distance(16 * one, 16 * other) == pytest.approx(2 * distance(one, other), rel=0.02)
+    assert distance(one / 50, other / 50, scale=50.0) == pytest.approx(distance(one, other), rel=1e-12)
+    assert distance(one / 50, other / 50) < 0.95 * distance(one, other)
+    assert repr(LearnedLoss(scale=50.0)) == "LearnedLoss(scale=50.0)"
+    for scale in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match=r"^LearnedLoss: scale: expected a factor above 0, found "):
+            LearnedLoss(scale=scale)
 
 
 def test_other_pairs_give_nearly_the_same() -> None:
@@ -98,61 +128,94 @@ def test_bins_share_every_pair() -> None:
     torch.testing.assert_close(bins.sum(-1), torch.ones(2000, dtype=torch.float64))
 
 
-def test_features_times_weights_are_the_square() -> None:
-    one, other = glossy(0.1), glossy(0.3, 0.1, 0.2)
-    data = read_weights(None)["weights"]
-    flat = [*data["pointwise"]]
-    for kind in ("luminance", "chroma"):
-        flat += [*np.ravel(data["mean"][kind]), *np.ravel(data["contrast"][kind])]
-    found = features(encode(one, PAIRS) - encode(other, PAIRS), soft_bins(PAIRS))
-    weights = torch.tensor(flat, dtype=torch.float64)
-    assert float(found @ weights) == pytest.approx(distance(one, other) ** 2, rel=1e-10)
-    assert pack_weights(weights) == {key: data[key] for key in pack_weights(weights)}
-    assert [part.shape for part in unpack_weights(data)] == [(15,), (2, 45)]
+def test_bins_without_pairs_add_nothing() -> None:
+    """Pairs about one bin alone: its luminance is the mean of those there, and there is no gloss without a body."""
+    angles = torch.full((40,), 1.0, dtype=torch.float64)
+    pairs = Pairs.from_half_diff(*(x.deg2rad() for x in (0.0 * angles, 15 * angles, torch.arange(40.0).double())))
+    one, other = glossy(0.1, pairs=pairs), glossy(0.2, pairs=pairs)
+    luminance, gloss_0, gloss_5, lobe, body, _ = LearnedLoss().terms(one, other, pairs).tolist()
+    light = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
+    x, y = ((z[0] @ light * pairs.cos_i[0] * pairs.cos_o[0]).item() for z in (one, other))
+    assert luminance == pytest.approx(abs(np.log(x + EPSILON) - np.log(y + EPSILON)), rel=1e-3)
+    assert gloss_0 == gloss_5 == body == 0 and lobe > 0
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 5])
+def test_any_number_of_channels(channels: int) -> None:
+    """Gray is gray in any; one channel has no chroma; a channel without weight is as if it were not there."""
+    one, other = (glossy(x)[:, 1:2].expand(-1, channels) for x in (0.1, 0.2))
+    terms = LearnedLoss().terms(one, other, PAIRS)
+    torch.testing.assert_close(terms, LearnedLoss().terms(one[:, :1], other[:, :1], PAIRS), atol=1e-12, rtol=1e-12)
+    assert float(terms[3:5].max()) < 1e-12
+    if channels != 3:  # of three, each has its own share in luminance
+        weight = torch.tensor([[1.0] * channels + [0.0]], dtype=torch.float64)
+        more = [torch.cat([x, 5 * x[:, :1].square()], 1) for x in (one, other)]
+        if channels + 1 != 3:
+            torch.testing.assert_close(LearnedLoss().terms(*more, PAIRS, weight), terms, atol=1e-12, rtol=1e-12)
+
+
+def test_black_is_far_from_white_and_equal_to_black() -> None:
+    black, white = torch.zeros(2000, 3).double(), torch.full((2000, 3), 1 / np.pi).double()
+    assert distance(black, black) == 0 == distance(-white, black)
+    assert 0.5 < distance(white, black) < 10
+
+
+def test_gradients_are_finite_at_equal_values_and_twice() -> None:
+    target = glossy(0.1)
+    point = target.clone().requires_grad_()
+    loss = LearnedLoss()
+    (gradient,) = torch.autograd.grad(loss(point, target, PAIRS), point, create_graph=True)
+    assert not gradient.any()
+    point = (1.3 * target[:50]).requires_grad_()
+    pairs = PAIRS.select(samples=slice(50))
+    weight = torch.rand(50, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    assert torch.autograd.gradgradcheck(lambda x: loss(x, target[:50], pairs, weight), point)
 
 
 def test_it_comes_by_name_and_says_where_it_is_from() -> None:
     loss = LOSSES["learned"]()
     assert isinstance(loss, LearnedLoss) and loss.registered_name == "learned"
-    assert {"learned_from", "materials", "held_out", "seen", "seed", "date"} <= set(loss.provenance)
+    assert {"learned_from", "held_out"} <= set(loss.provenance)
     assert "10.1145/3306346.3323036" in json.dumps(loss.provenance)
 
 
-def test_weights_of_ones_own(tmp_path: Path) -> None:
-    data = dict(read_weights(None))
-    four = {"weights": json.loads(json.dumps(data["weights"]), parse_float=lambda x: 4 * float(x))}
+def test_constants_of_ones_own(tmp_path: Path) -> None:
+    four = {"constants": {name: 4 * value for name, value in read_metric(None)["constants"].items()}}
     path = tmp_path / "metric.json"
     path.write_text(json.dumps(four))
     one, other = glossy(0.1), glossy(0.2)
     for weights in (path, str(path), four):
         loss = LearnedLoss(reduction="none", weights=weights)
-        assert float(loss(one, other, PAIRS)) == pytest.approx(2 * distance(one, other), rel=1e-9)
+        assert float(loss(one, other, PAIRS)) == pytest.approx(4 * distance(one, other), rel=1e-9)
+
+
+NAMES = ", ".join(CONSTANTS)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda d: d.pop("weights"), "expected a learned metric, .* missing required field `weights`"),
-        (lambda d: d.update(floor=1.0), "floor: expected 0.0001, found 1.0"),
+        (lambda d: d.pop("constants"), f"expected constants {NAMES}; found none"),
+        (
+            lambda d: d.update(weights={"pointwise": [1.0] * 5}) or d.pop("constants"),
+            f"expected constants {NAMES}; found the weights of an older form: train it again",
+        ),
+        (lambda d: d.update(epsilon=1.0), "epsilon: expected 0.0003, found 1.0"),
         (lambda d: d.update(theta_h=[0, 90]), r"theta_h: expected .*, found \[0.0, 90.0\]"),
         (lambda d: d.update(provenance="mine"), "expected a learned metric, .* got `str` - at `\\$.provenance`"),
         (lambda d: d.update(provenance=["mine"]), "expected a learned metric, .* got `array` - at `\\$.provenance`"),
-        (lambda d: d["weights"].pop("mean"), "expected a learned metric, .* missing required field `mean`"),
-        (lambda d: d["weights"]["mean"].pop("chroma"), "expected a learned metric, .* missing required field `chroma`"),
-        (lambda d: d["weights"]["contrast"].update(chroma=[[1.0]]), "contrast, chroma: expected 10 x 3 numbers"),
-        (lambda d: d["weights"]["mean"].update(chroma=[[1.0]] * 4 + [[1.0] * 3]), "mean, chroma: expected 5 x 3 numb"),
-        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, -1]), "pointwise: expected 5 numbers from 0 to 1e.20"),
-        (lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, 1e300]), "pointwise: expected 5 numbers from 0 to 1e.20"),
-        (lambda d: d["weights"].update(pointwise=[10**400]), "expected a learned metric, .*out of range"),
-        (
-            lambda d: d["weights"].update(pointwise=[0, 0, 0, 0, float("nan")]),
-            "expected a learned metric, .*JSON is",
-        ),
-        (lambda d: d["weights"].update(pointwise="much"), "expected a learned metric, .*got `str`"),
+        (lambda d: d["constants"].pop("gloss_5"), f"constants: expected {NAMES}; found 'luminance, gloss_0, chroma"),
+        (lambda d: d["constants"].update(more=1.0), f"constants: expected {NAMES}; found 'luminance, gloss_0, gloss"),
+        (lambda d: d["constants"].update(gloss_5=-1.0), r"constants: gloss_5: expected 0 to 1e\+20, found -1.0"),
+        (lambda d: d["constants"].update(gloss_5=1e300), r"constants: gloss_5: expected 0 to 1e\+20, found 1e\+300"),
+        (lambda d: d["constants"].update(gloss_5=10**400), "expected a learned metric, .*out of range"),
+        (lambda d: d["constants"].update(gloss_5=float("nan")), "expected a learned metric, .*JSON is"),
+        (lambda d: d.update(constants="much"), "expected a learned metric, .*got `str`"),
+        (lambda d: d.update(constants=dict.fromkeys(CONSTANTS, 0.0)), "expected a constant above 0, found none"),
     ],
 )
-def test_bad_weights_are_refused(change, said: str, tmp_path: Path) -> None:
-    data = copy.deepcopy(dict(read_weights(None)))
+def test_bad_constants_are_refused(change, said: str, tmp_path: Path) -> None:
+    data = copy.deepcopy(dict(read_metric(None)))
     change(data)
     path = tmp_path / "metric.json"
     path.write_text(json.dumps(data))
@@ -170,17 +233,11 @@ def test_deep_json_is_refused(tmp_path: Path) -> None:
         LearnedLoss(weights=tmp_path / "metric.json")
 
 
-def test_the_largest_weights_give_finite_distances() -> None:
-    largest = {"weights": json.loads(json.dumps(read_weights(None)["weights"]), parse_float=lambda _: LARGEST_WEIGHT)}
+def test_the_largest_constants_give_finite_distances() -> None:
+    largest = {"constants": dict.fromkeys(CONSTANTS, LARGEST_CONSTANT)}
     one, other = torch.zeros(1, len(PAIRS), 3), torch.full((1, len(PAIRS), 3), 1e10)
     pairs = PAIRS.to(dtype=torch.float32)
     assert LearnedLoss(reduction="none", weights=largest)(one, other, pairs).isfinite().all()
-
-
-def test_a_metric_of_nothing_is_refused() -> None:
-    zero = {"weights": json.loads(json.dumps(read_weights(None)["weights"]), parse_float=lambda _: 0.0)}
-    with pytest.raises(DataError, match="expected a weight above 0"):
-        LearnedLoss(weights=zero)
 
 
 @given(st.text(max_size=60) | st.recursive(st.none() | st.floats() | st.text(), st.lists).map(json.dumps))
@@ -196,9 +253,10 @@ def test_copies_do_not_carry_pairs() -> None:
     loss = LearnedLoss(reduction="none")
     one, other = glossy(0.1), glossy(0.2)
     expected = loss(one, other, PAIRS)
-    assert loss._assignment is not None
+    empty = len(pickle.dumps(LearnedLoss()))
+    assert loss.comparison(PAIRS, None, one) is loss.comparison(PAIRS, None, one)
     for same in (copy.deepcopy(loss), pickle.loads(pickle.dumps(loss))):
-        assert same._assignment is None and same._encoded_target is None
+        assert len(pickle.dumps(same)) <= empty + 8
         assert torch.equal(same(one, other, PAIRS), expected)
 
 
@@ -210,6 +268,9 @@ def test_what_is_kept_belongs_to_these_pairs() -> None:
     assert loss(one, other, PAIRS) == first
     weight = torch.rand(2000, 1, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     assert float(loss(one, other, PAIRS, weight)) == distance(one, other, PAIRS, weight)
+    before = loss(one, other, PAIRS, weight)
+    weight *= torch.rand(2000, 1, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
+    assert loss(one, other, PAIRS, weight) == distance(one, other, PAIRS, weight) != before
     changed = other.clone()
     before = loss(one, changed, PAIRS)
     changed *= 1.5
@@ -236,7 +297,7 @@ def test_a_fit_finds_what_values_were_made_with() -> None:
     lead = Pairs.from_half_diff(pairs.theta_h[None], pairs.theta_d[None], pairs.phi_d[None])
     result = fit(model, Measured.from_samples(lead, values), LearnedLoss(), diffuse="fit", samples=None)
     assert [str(status) for status in result.status] == ["converged", "converged"]
-    assert result.loss == "learned" and float(result.error.max()) < 1e-4
+    assert result.loss == "learned" and float(result.error.max()) < 1e-3
     for one, other in zip(result.model.parameters(), truth.parameters(), strict=True):
         torch.testing.assert_close(one, other.expand_as(one), rtol=1e-3, atol=1e-4)
 

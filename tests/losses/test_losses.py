@@ -44,25 +44,36 @@ def plain_cube_root(p: Array, t: Array, cos: Array, weight: Array) -> float:
 
 
 def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array, weight: Array) -> float:
-    """Bin after bin, with the weights that come with torchbrdf; cos (N, 1), weight (N,)."""
-    learned = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())["weights"]
-    d = (np.maximum(p, 0) * cos + 1e-4) ** 0.25 - (np.maximum(t, 0) * cos + 1e-4) ** 0.25
-    y = d @ np.array([0.2126, 0.7152, 0.0722])
+    """Bin after bin, with the constants that come with torchbrdf; cos (N, 1), weight (N,)."""
+    w1, w2, w3, w4, w5, w6 = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())[
+        "constants"
+    ].values()
+    x, y, light = np.maximum(p, 0) * cos, np.maximum(t, 0) * cos, np.array([0.2126, 0.7152, 0.0722])
     centres_h, centres_d = [0, 5, 15, 35, 70], [15, 45, 75]
-    total, means = 0.0, np.zeros((4, 5, 3))
+    a, e = np.full((5, 3), np.nan), np.full((5, 3, 3), np.nan)
     for h in range(5):
         for k in range(3):
             high = np.interp(np.degrees(theta_h), centres_h, np.eye(5)[h])
             wide = np.interp(np.degrees(theta_d), centres_d, np.eye(3)[k])
-            held = weight * high * wide
-            held = held / (held.sum() + 1e-3 * weight.sum())
-            total += learned["pointwise"][h] * np.sum(held * (d**2).mean(1))
-            means[:, h, k] = [np.sum(held * x) for x in (y, *(d.T - y))]
-    for c, kind in enumerate(["luminance", "chroma", "chroma", "chroma"]):
-        between = [means[c, h] - means[c, g] for h in range(5) for g in range(h + 1, 5)]
-        total += np.sum(np.array(learned["mean"][kind]) * means[c] ** 2)
-        total += np.sum(np.array(learned["contrast"][kind]) * np.array(between) ** 2)
-    return np.sqrt(total)
+            if not np.any(weight * high * wide):  # the means below are of the other bins
+                continue
+            one, other = (np.average(z, 0, weight * high * wide) for z in (x, y))
+            a[h, k] = np.log(light @ one + 3e-4) - np.log(light @ other + 3e-4)
+            e[h, k] = np.cbrt(one + 1e-4) - np.cbrt(other + 1e-4)
+
+    def chroma(v: Array) -> float:
+        return np.sqrt(np.mean((v - light @ v) ** 2))
+
+    e = np.nanmean(e, 1)
+    single = np.abs(np.log(x + 3e-4) - np.log(y + 3e-4)).mean(1)
+    return (
+        w1 * np.nanmean(np.abs(a))
+        + w2 * np.nanmean(np.abs(a[0, :2] - a[4, :2]))
+        + w3 * np.nanmean(np.abs(a[1, :2] - a[4, :2]))
+        + w4 * chroma(np.nanmean(e[:2], 0))
+        + w5 * chroma(np.nanmean(e[3:], 0))
+        + w6 * np.average(single, weights=weight)
+    )
 
 
 # Values (N, 3), cosine (N, 1) and weight (N, 3); the solid angle is put into the weight by the test.
@@ -344,7 +355,7 @@ def test_half_precision(name: str, dtype: torch.dtype) -> None:
     p, t, pairs = (
         x.to(dtype=dtype) for x in (some_values(2, 30, seed=3), some_values(2, 30, seed=4), some_pairs(2, 30))
     )
-    expected = make(name)(p.double(), t.double(), pairs.to(dtype=torch.float64))
+    expected = make(name)(p.double(), t.double(), pairs.widened().to(dtype=torch.float64))
     for loss in (make(name, exact=False), make(name, exact=False).to(dtype)):
         error = loss(p, t, pairs)
         assert error.dtype == dtype

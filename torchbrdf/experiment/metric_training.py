@@ -15,7 +15,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.experiment.settings import STANDINS
 from torchbrdf.lobes import FitRecord, model_of, read_fits
 from torchbrdf.losses import Loss
-from torchbrdf.losses.learned import schema
+from torchbrdf.losses.former import schema
 from torchbrdf.measured import load_all, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import BenchmarkData, EvaluatedBrdfs, evaluate_brdfs

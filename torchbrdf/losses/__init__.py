@@ -2,7 +2,6 @@
 
 from torchbrdf.losses import functional
 from torchbrdf.losses.base import LOSSES, Loss
-from torchbrdf.losses.binned import BinAssignment, BinnedLoss
 from torchbrdf.losses.combined import CombinedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
@@ -17,8 +16,6 @@ from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 
 __all__ = [
     "LOSSES",
-    "BinAssignment",
-    "BinnedLoss",
     "CombinedLoss",
     "CompressedLoss",
     "CosineRMSLoss",

@@ -14,8 +14,9 @@ from torch import Tensor
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
-from torchbrdf.losses.learned import LearnedLoss, read_weights
+from torchbrdf.losses.learned import LearnedLoss
 from torchbrdf.losses.log import LogLoss
+from torchbrdf.losses.metric_file import read_metric
 from torchbrdf.losses.rms import RMSLoss
 from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 from torchbrdf.pairs import Pairs
@@ -157,5 +158,5 @@ def learned(
 
 @cache
 def _bundled() -> Mapping[str, Any]:
-    """The weights that come with torchbrdf, read once."""
-    return read_weights(None)
+    """The constants that come with torchbrdf, read once."""
+    return read_metric(None)

@@ -1,93 +1,126 @@
-"""A distance between BRDFs whose weights were learned from what people answered."""
+"""A distance between BRDFs whose six constants were learned from what people answered."""
 
+import math
 from collections.abc import Callable, Mapping
-from importlib.resources import files
-from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any, NotRequired, Self, TypedDict
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
-from torchbrdf.errors import DataError, ShapeError, shown
-from torchbrdf.losses.base import LOSSES, version
-from torchbrdf.losses.binned import BinnedLoss, bin_mass
+from torchbrdf.errors import ShapeError, UsageError, shown
+from torchbrdf.losses.base import LOSSES, Loss, version
+from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
+from torchbrdf.losses.metric_file import CONSTANTS, CUBE_EPSILON, EPSILON, read_metric
 from torchbrdf.pairs import Pairs
-from torchbrdf.reading import read_json
+from torchbrdf.precision import without_autocast
 from torchbrdf.reduction import Reduction
+from torchbrdf.roots import safe_norm
 
-FLOOR = 1e-4
-"""Added to values times cosines before the fourth root: how dark a difference can be before it no longer counts."""
-THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
-THETA_D = (15.0, 45.0, 75.0)
-"""Centres of the soft bins, in degrees."""
-
-THETA_H_BINS, THETA_D_BINS = len(THETA_H), len(THETA_D)
-BIN_COUNT = THETA_H_BINS * THETA_D_BINS
-BIN_PAIRS = tuple(combinations(range(THETA_H_BINS), 2))
-COLOR_FEATURES = ("luminance", "chroma")
-SHAPES = {"mean": (THETA_H_BINS, THETA_D_BINS), "contrast": (len(BIN_PAIRS), THETA_D_BINS)}
-POINTWISE = "pointwise"
-BUNDLED = "learned_metric.json"
-LARGEST_WEIGHT = 1e20
-"""Trained weights are below 1e3, or 4e10 for a bin that few pairs see; far larger ones overflow in float32."""
+GLOSS_BINS = (0, 1)
+"""Bins of theta_h that gloss compares with the last one, the body."""
+GLOSS_THETA_D_BINS = 2
+"""In how many bins of theta_d, from the first on: highlights at grazing angles say little about gloss."""
+CHROMA_BINS = ((0, 1), (3, 4))
+"""Bins of theta_h whose colours are one: lobe and body."""
+Made = TypeVar("Made")
+# Numbers of shares that are kept for the next call with the same pairs.
+CACHED = 1 << 24
 
 
-class MetricWeights(TypedDict):
-    """The weights of a `metric.json`, whose shapes `SHAPES` has."""
+class Encoded(NamedTuple):
+    """What is compared of one BRDF, each by its differences.
 
-    pointwise: list[float]
-    mean: "FeatureWeights"
-    contrast: "FeatureWeights"
+    Args:
+        values: log(x + EPSILON) of each value, `(..., N, C)`.
+        luminance: log(l.<x> + EPSILON) of each bin, `(..., B)`, float64.
+        color: (<x> + CUBE_EPSILON)^(1/3) of each bin, `(..., C, B)`, float64.
+    """
+
+    values: Tensor
+    luminance: Tensor
+    color: Tensor
 
 
-class FeatureWeights(TypedDict):
-    """Weights for each of `COLOR_FEATURES`."""
+class Comparison(NamedTuple):
+    """How encodings are compared, float64: what each bin and each channel counts.
 
-    luminance: list[list[float]]
-    chroma: list[list[float]]
+    All bins count alike, but for empty ones, and all channels, but for those with less weight.
 
+    Args:
+        bins: the pairs in their bins.
+        luminance: the share of bins in the term luminance, `(..., B)`; its sum is 1.
+        gloss: in the terms of gloss, `(..., len(GLOSS_BINS), GLOSS_THETA_D_BINS)`; the sum of each row is 1, or 0 where
+            no bin is there.
+        chroma: in the terms of chroma, `(..., B, len(CHROMA_BINS))`; the sum of each column is 1, or 0.
+        channel_luminance: the share of channels in luminance, `(..., 1, C)`.
+        channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
+            chroma, `(..., C, C)`.
+    """
 
-class MetricFile(TypedDict):
-    """What a `metric.json` holds."""
+    bins: Bins
+    luminance: Tensor
+    gloss: Tensor
+    chroma: Tensor
+    channel_luminance: Tensor
+    channel_chroma: Tensor
 
-    weights: MetricWeights
-    provenance: NotRequired[dict[str, Any]]
-    floor: NotRequired[float]
-    theta_h: NotRequired[list[float]]
-    theta_d: NotRequired[list[float]]
+    def terms(self, one: Encoded, other: Encoded) -> Tensor:
+        """What the constants multiply, `(..., 6)`."""
+        a = one.luminance - other.luminance
+        chroma = self.channel_chroma @ ((one.color - other.color) @ self.chroma)
+        parts = [
+            (a.abs() * self.luminance).sum(-1, keepdim=True),
+            (gloss(a).abs() * self.gloss).sum(-1),
+            safe_norm(chroma, -2),
+            self.bins.mean((one.values - other.values).abs())[..., None],
+        ]
+        return torch.cat(parts, -1)
 
 
 @LOSSES.register("learned")
-class LearnedLoss(BinnedLoss):
-    """sqrt(P + M + K), a norm of differences d_c = e(M_c) - e(A_c), e(x) = (max(x, 0) cos_i cos_o + FLOOR)^(1/4).
+class LearnedLoss(Loss):
+    """How different two materials look to people: six terms of averages in bins and of single values.
 
-    Shapes as `Loss`. Each pair has a luminance difference y = sum_c l_c d_c (l: `LUMINANCE`; 1/C each if there are not
-    three channels) and C chroma differences d_c - y. < >_hk is the weighted average over the pairs in the soft bin h of
-    theta_h and k of theta_d (hat functions between the centres `THETA_H` and `THETA_D`), and every w is a learned
-    weight of at least 0, those of M and K one for luminance and one for chroma:
+    With x = scale max(M, 0) cos_i cos_o and y the same of A; < >_hk the weighted average over the pairs in the soft bin
+    h of theta_h and k of theta_d (hat functions between the centres `THETA_H`, 0, 5, 15, 35, 70 degrees, and `THETA_D`,
+    15, 45, 75 degrees); l luminance by ITU-R BT.709; and E = 3e-4:
 
-    - pointwise: P = sum_hk w_h <mean_c d_c^2>_hk, what differs anywhere;
-    - mean: M = sum_hk w_hk <y>_hk^2 + w'_hk sum_c <d_c - y>_hk^2, what differs on average in a bin: the brightness and
-      the colour of lobe and body;
-    - contrast: K = sum_hgk w_hgk (<y>_hk - <y>_gk)^2 + the same of chroma, for every two bins h < g of theta_h: how the
-      lobe falls off, and how it stands out from the body.
+        a_hk = log(l.<x>_hk + E) - log(l.<y>_hk + E)               a bin's luminance, averaged and then compressed
+        g_hk = a_hk - a_70,k                                       gloss: lobe over body
+        e_h  = mean_k ((<x>_hk + 1e-4)^(1/3) - (<y>_hk + 1e-4)^(1/3))
+        c(v) = sqrt(mean_c (v_c - l.v)^2)                          chroma
+        D = w1 mean_hk |a_hk| + w2 mean_(k = 15, 45) |g_0,k| + w3 mean_(k = 15, 45) |g_5,k|
+          + w4 c(mean of e_0, e_5) + w5 c(mean of e_35, e_70) + w6 mean_nc |log(x_nc + E) - log(y_nc + E)|
 
-    Symmetric; 0 for equal values only, as far as e and the pairs see them; it obeys the triangle inequality, and grows
-    in proportion along a straight path of e. A common factor s on all values multiplies it by s^(1/4) while values are
-    well above FLOOR: the factor that MERL tables carry matters. Bins are averages, so the choice of pairs matters
-    little where their weights are passed; a bin without pairs adds nothing. Weights that differ by channel weigh
-    luminance, and scale the chroma of a channel by w_c / max_c w_c.
+    The constants that come with torchbrdf, by their names in `metric.json`:
 
-    Unit: the mean distance between two of the materials that the weights were learned from; `provenance` says which.
+        w1  luminance    0.1146        w4  chroma_lobe  1.227
+        w2  gloss_0      0.1571        w5  chroma_body  2.044
+        w3  gloss_5      0.02975       w6  pointwise    0.2078
+
+    An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The last term holds
+    fits together, whose errors would cancel within averages. D is a sum of absolute differences of encodings:
+    symmetric, 0 for equal values only, and obeys the triangle inequality; at equal values, where it has a cusp, its
+    gradient is 0. Averages make it depend little on the choice of pairs, where their weights are passed. A bin without
+    pairs adds nothing, and means over bins are those of the others.
+
+    With one channel, luminance is its value and there is no chroma; with any other number but three, all channels count
+    alike in luminance. Weights that differ by channel weigh each channel's averages, and its share in luminance and
+    chroma by the sum of its weights.
+
+    Unit: the mean distance between two materials of MERL; `provenance` says where the constants are from.
 
     Args:
         reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
-        weights: the path of a `metric.json`, or what such a file holds; None: those that come with torchbrdf.
+        weights: the path of a `metric.json`, or what such a file holds; None: the constants above.
+        scale: what values are multiplied by, above 0. Dark differences count by `EPSILON`, which is meant for MERL's
+            scale: 1/sr, with white at 1/pi. Give the factor that brings other data there.
 
     Raises:
-        DataError: for weights that are none.
+        DataError: for constants that are none.
+        UsageError: for any other reduction or scale.
 
     Example:
         >>> import torch
@@ -97,65 +130,145 @@ class LearnedLoss(BinnedLoss):
         tensor([0., 0.])
 
     Source: this project; trained (recipe train_metric) on the answers of M. Lagunas et al. 2019,
-    doi:10.1145/3306346.3323036, and G. Lavoue et al. 2021, doi:10.1111/cgf.142636. The probit likelihood of
-    comparisons is L. L. Thurstone's, A law of comparative judgment, 1927.
+    doi:10.1145/3306346.3323036, and G. Lavoue et al. 2021, doi:10.1111/cgf.142636.
     """
 
     needs = ("cos_i", "cos_o", "theta_h", "theta_d")
+    objective = "binned"
+    is_root = False
+    # Differences of logarithms, and a tenth of that of cube roots.
+    smoothing_widths = (0.2, 0.05, 0.01)
 
-    def __init__(self, reduction: Reduction = "mean", weights: str | Path | Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        reduction: Reduction = "mean",
+        weights: str | Path | Mapping[str, Any] | None = None,
+        scale: float = 1.0,
+    ) -> None:
         super().__init__(reduction)
-        data = read_weights(weights)
+        if not 0 < scale < math.inf:
+            raise UsageError(f"LearnedLoss: scale: expected a factor above 0, found {shown(scale)}")
+        data = read_metric(weights)
         self.provenance: dict[str, Any] = dict(data.get("provenance", {}))
-        pointwise, averages = unpack_weights(data["weights"])
         self.weights = weights if isinstance(weights, str | Path) else None
-        self.average_weight: Tensor
-        self.register_buffer("square_weight", pointwise)
-        self.register_buffer("average_weight", averages)
-        self._factor: tuple[Tensor, int, int, Tensor] | None = None
+        self.scale = scale
+        self.constants: Tensor
+        own = [data["constants"][name] for name in CONSTANTS]
+        self.register_buffer("constants", torch.tensor(own, dtype=torch.float64, device="cpu"))
+        self._kept_comparison: _Kept[Comparison] = _Kept()
+        self._kept_target: _Kept[Encoded] = _Kept()
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """(max(M, 0) cos_i cos_o + FLOOR)^(1/4)."""
-        return encode(values, pairs)
+        """log(x + EPSILON), what is compared of single values."""
+        return self.exposed(values, pairs).add(EPSILON).log()
 
     def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """cos_i cos_o / 4 (M cos_i cos_o + FLOOR)^(-3/4), 0 for values of 0 or less."""
-        encoded = encode(values, pairs)
-        return encoded, torch.where(values > 0, 0.25 * cosines(pairs) / encoded.pow(3), 0)
+        """scale cos_i cos_o / (x + EPSILON), 0 for values of 0 or less."""
+        x = self.exposed(values, pairs) + EPSILON
+        return x.log(), torch.where(values > 0, self.scale * cosines(pairs) / x, 0)
 
-    def membership(self, pairs: Pairs) -> Tensor:
-        """`soft_bins`."""
-        return soft_bins(pairs)
+    def penalty(self, difference: Tensor) -> Tensor:
+        """|d|."""
+        return difference.abs()
 
-    def mean_factor(self, channels: int) -> Tensor:
-        """`factor` of the weights, kept as long as they stay what they are."""
-        weight, kept = self.average_weight, self._factor
-        if torch.compiler.is_compiling() or weight.requires_grad:
-            return factor(weight, channels)
-        if kept is None or kept[0] is not weight or kept[1:3] != (version(weight), channels):
-            kept = self._factor = weight, version(weight), channels, factor(weight, channels)
-        return kept[3]
+    def penalty_with_derivatives(
+        self, difference: Tensor, width: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Of sqrt(d^2 + width^2), with the parabola that touches it on both sides and is nowhere below it."""
+        return rounded_absolute(difference, width)
+
+    def exposed(self, values: Tensor, pairs: Pairs | None) -> Tensor:
+        """x = scale max(M, 0) cos_i cos_o."""
+        x, cosine = values.clamp_min(0), cosines(pairs)
+        cosine = cosine if self.scale == 1 else cosine * self.scale
+        # In place where possible: memory that is new costs more than the arithmetic.
+        fits = cosine.dtype == x.dtype and cosine.dim() <= x.dim() and cosine.numel() == x.shape[-2]
+        return x.mul_(cosine) if fits else x * cosine
+
+    def terms(
+        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
+    ) -> Tensor:
+        """What the constants multiply, in the order of `CONSTANTS`, `(..., 6)`, float64; arguments as `error`."""
+        self._check(prediction, target, pairs, weight)
+        prediction, target, pairs = self._widened(prediction, target, pairs)
+        if pairs is None:
+            raise ShapeError(f"{type(self).__name__}: needs pairs, to sort them into bins")
+        with without_autocast(prediction.device.type):
+            like = torch.promote_types(prediction.dtype, target.dtype)
+            prediction, target = prediction.to(like), target.to(like)
+            comparison = self.comparison(pairs, weight, target)
+            one = self.encoded(prediction, pairs, comparison)
+            key = (target, pairs, comparison.bins.shares, comparison.bins.weight)
+            other = self._kept_target.find(*key)
+            if other is None:
+                other = self.encoded(target, pairs, comparison)
+                self._kept_target.keep(other, *key, own=other.color)
+            return comparison.terms(one, other)
+
+    def error(
+        self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
+    ) -> Tensor:
+        """The distance of each material, `(...)`, float64."""
+        return self.terms(prediction, target, pairs, weight) @ self.constants
+
+    def comparison(self, pairs: Pairs, weight: Tensor | None, like: Tensor) -> Comparison:
+        """How values `like` `(..., N, C)` are compared under weights; kept, as the same come again in a fit."""
+        key = (pairs, weight, like.dtype, like.shape[-2:])
+        found = self._kept_comparison.find(*key)
+        if found is None:
+            bins = sort_into_bins(pairs, weight, like)
+            found = Comparison(bins, *bin_shares(bins.present), *channel_shares(bins.total, like.shape[-1]))
+            if bins.shares.numel() <= CACHED:
+                self._kept_comparison.keep(found, *key, own=bins.mass)
+        return found
+
+    def encoded(self, values: Tensor, pairs: Pairs, comparison: Comparison) -> Encoded:
+        """What is compared of values `(..., N, C)`."""
+        x = self.exposed(values, pairs)
+        averages = comparison.bins.averages(x)
+        logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
+        luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
+        return Encoded(logs, luminance, (averages + CUBE_EPSILON).pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
-        """Weights follow to another device, but stay float64, as sums are; half precision would round them."""
-        before = dict(self.named_buffers(recurse=False))
+        """Constants follow to another device, but stay float64, as terms are; half precision would round them."""
+        before = self.constants
         super()._apply(fn, recurse)
-        for name, buffer in before.items():
-            setattr(self, name, buffer.to(getattr(self, name).device))
+        self.constants = before.to(self.constants.device)
         return self
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_factor": None}
+        """Copies and other processes have other pairs and targets."""
+        return {**super().__getstate__(), "_kept_comparison": _Kept(), "_kept_target": _Kept()}
 
-    def collapse_channel_weights(self, difference: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """The luminance becomes that of the channels by their weights, each chroma that by its share of the largest."""
-        if weight is None or weight.dim() == 0 or weight.shape[-1] == 1:
-            return difference, weight
-        largest = weight.amax(-1, keepdim=True)
-        share = torch.where(largest > 0, weight / torch.where(largest > 0, largest, 1), 1)
-        lightness = luminance_weights(difference) * share
-        y = (lightness * difference).sum(-1, keepdim=True) / lightness.sum(-1, keepdim=True)
-        return y + share * (difference - y), largest
+
+class _Kept(Generic[Made]):
+    """What was made last of some tensors and other things, for when the same ones come again, unchanged."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[tuple[Any, ...], list[int], Made] | None = None
+
+    def find(self, *key: Any) -> Made | None:
+        """What was made of these, if they were the last."""
+        if torch.compiler.is_compiling() or self._kept is None:
+            return None
+        former, versions, made = self._kept
+        same = len(former) == len(key) and all(
+            one is other or (not isinstance(one, Tensor | Pairs) and one == other)
+            for one, other in zip(former, key, strict=True)
+        )
+        return made if same and versions == _versions(key) else None
+
+    def keep(self, made: Made, *key: Any, own: Tensor) -> Made:
+        """Keep what was made, unless its tensor `own` has a graph or is of inference mode."""
+        tensors = [own, *(x for x in key if isinstance(x, Tensor))]
+        if not torch.compiler.is_compiling() and not any(x.requires_grad or x.is_inference() for x in tensors):
+            self._kept = key, _versions(key), made
+        return made
+
+
+def _versions(key: tuple[Any, ...]) -> list[int]:
+    return [version(x) for x in key if isinstance(x, Tensor)]
 
 
 def cosines(pairs: Pairs | None) -> Tensor:
@@ -165,138 +278,44 @@ def cosines(pairs: Pairs | None) -> Tensor:
     return pairs.cached(cosines, lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
 
 
-def encode(values: Tensor, pairs: Pairs | None) -> Tensor:
-    """(max(x, 0) cos_i cos_o + FLOOR)^(1/4), whose slope is finite everywhere."""
-    raised, cosine = values.clamp_min(0), cosines(pairs)
-    fits = cosine.dtype == raised.dtype and cosine.dim() <= raised.dim() and cosine.numel() == raised.shape[-2]
-    # In place where possible: memory that is new costs more than the arithmetic.
-    raised = (raised.mul_(cosine) if fits else raised * cosine).add_(FLOOR)
-    return raised.sqrt().sqrt() if raised.requires_grad else raised.sqrt_().sqrt_()
+def rounded_absolute(difference: Tensor, width: Tensor | float | None) -> tuple[Tensor, Tensor, Tensor]:
+    """sqrt(d^2 + width^2), its derivative, and the curvature of the parabola that touches it at d and -d."""
+    if width is None:
+        tiny = torch.finfo(difference.dtype).tiny ** 0.5
+        size = difference.abs()
+        return size, difference.sign(), 1 / size.clamp_min(tiny)
+    root = (difference.square() + width**2).sqrt()
+    curvature = 1 / root
+    return root, difference * curvature, curvature
 
 
-def soft_bins(pairs: Pairs) -> Tensor:
-    """How much of each pair lies in each bin, `(..., N, BIN_COUNT)`, theta_h slowest; its shares add up to 1."""
-    high, wide = (_hats(angle, centres) for angle, centres in ((pairs.theta_h, THETA_H), (pairs.theta_d, THETA_D)))
-    return (high[..., :, None] * wide[..., None, :]).flatten(-2)
+def gloss(luminance: Tensor) -> Tensor:
+    """Of compressed luminance `(..., B)`, lobes less the body, `(..., len(GLOSS_BINS), GLOSS_THETA_D_BINS)`."""
+    rows = luminance.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))[..., :GLOSS_THETA_D_BINS]
+    return rows[..., GLOSS_BINS, :] - rows[..., -1:, :]
 
 
-def _hats(angle: Tensor, centres: tuple[float, ...]) -> Tensor:
-    """Piecewise linear functions that are 1 at one centre and 0 at the others, constant outside, `(..., N, K)`."""
-    degrees = angle.rad2deg()
-    rises = [((degrees - low) / (high - low)).clamp(0, 1) for low, high in pairwise(centres)]
-    one, none = torch.ones_like(degrees), torch.zeros_like(degrees)
-    return torch.stack([a - b for a, b in zip([one, *rises], [*rises, none], strict=True)], -1)
-
-
-def luminance_weights(values: Tensor) -> Tensor:
-    """The share of each channel of values in luminance, `(C,)`."""
-    channels = values.shape[-1]
-    return values.new_tensor(LUMINANCE if channels == 3 else [1 / channels] * channels)
-
-
-def contrasts(means: Tensor) -> Tensor:
-    """Averages in bins as luminance and chroma, with their differences between two bins of theta_h.
-
-    From `(..., C, BIN_COUNT)` to `(..., 1 + C, BIN_COUNT + differences)`: luminance first, then each channel's chroma.
-    """
-    lightness = (luminance_weights(means.mT) @ means)[..., None, :]
-    means = torch.cat([lightness, means - lightness], -2)
-    one, other = torch.tensor(BIN_PAIRS, dtype=torch.int64, device=means.device).unbind(1)
-    rows = means.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
-    return torch.cat([means, (rows[..., one, :] - rows[..., other, :]).flatten(-2)], -1)
-
-
-def factor(weight: Tensor, channels: int) -> Tensor:
-    """The matrix whose product with averages, flat, has the square that is M + K.
-
-    weight: `(2, K)`, of luminance and chroma.
-    """
-    unit = torch.eye(channels * BIN_COUNT, dtype=weight.dtype, device=weight.device).unflatten(
-        -1, (channels, BIN_COUNT)
+def bin_shares(present: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """`luminance`, `gloss` and `chroma` of a `Comparison`, from which bins are there, `(..., B)`."""
+    rows = present.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
+    both = rows[..., GLOSS_BINS, :GLOSS_THETA_D_BINS] * rows[..., -1:, :GLOSS_THETA_D_BINS]
+    each = rows / rows.sum(-1, keepdim=True).clamp_min(1)
+    chroma = torch.zeros(*rows.shape, len(CHROMA_BINS), dtype=rows.dtype, device=rows.device)
+    for column, own in enumerate(CHROMA_BINS):
+        held = rows[..., own, :].amax(-1).sum(-1)[..., None, None].clamp_min(1)
+        chroma[..., own, :, column] = each[..., own, :] / held
+    return (
+        present / present.sum(-1, keepdim=True).clamp_min(1),
+        both / both.sum(-1, keepdim=True).clamp_min(1),
+        chroma.flatten(-3, -2),
     )
-    root = torch.cat([weight[:1], weight[1:].expand(channels, -1)]).sqrt()
-    return (contrasts(unit) * root).flatten(-2)
 
 
-def features(difference: Tensor, bins: Tensor) -> Tensor:
-    """What the learned weights multiply, `(..., T)`, at least 0, in the order of `pack_weights`.
-
-    difference: `(..., N, C)`; bins: `soft_bins`, in its dtype.
-    """
-    mass = bin_mass(bins)
-    squares = difference.square().mean(-1)[..., None, :] @ bins / mass
-    parts = contrasts((difference.mT @ bins).double() / mass).square()
-    pointwise = squares[..., 0, :].unflatten(-1, (THETA_H_BINS, THETA_D_BINS)).sum(-1)
-    return torch.cat([pointwise, parts[..., 0, :], parts[..., 1:, :].sum(-2)], -1)
-
-
-def unpack_weights(weights: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
-    """Weights by name as those of mean squares `(BIN_COUNT,)` and of averages `(2, K)`, float64."""
-    pointwise = torch.tensor(weights[POINTWISE], dtype=torch.float64, device="cpu").repeat_interleave(THETA_D_BINS)
-    rows = [
-        [torch.tensor(weights[name][kind], dtype=torch.float64, device="cpu") for name in SHAPES]
-        for kind in COLOR_FEATURES
-    ]
-    return pointwise, torch.stack([torch.cat([part.flatten() for part in row]) for row in rows])
-
-
-def pack_weights(weights: Tensor) -> dict[str, Any]:
-    """Weights `(T,)` in the order of `features`, by name, to four digits."""
-    digits = [float(f"{value:.4g}") for value in weights.tolist()]
-    rounded = torch.tensor(digits, dtype=torch.float64, device="cpu")
-    found: dict[str, Any] = {POINTWISE: rounded[:THETA_H_BINS].tolist()} | {name: {} for name in SHAPES}
-    for kind, row in zip(COLOR_FEATURES, rounded[THETA_H_BINS:].chunk(2), strict=True):
-        start = 0
-        for name, (rows, columns) in SHAPES.items():
-            found[name][kind] = row[start : start + rows * columns].reshape(rows, columns).tolist()
-            start += rows * columns
-    return found
-
-
-def read_weights(weights: str | Path | Mapping[str, Any] | None) -> MetricFile:
-    """The content of a `metric.json`, checked; None: that which comes with torchbrdf."""
-    where = "weights"
-    if isinstance(weights, Mapping):
-        data = _convert(weights, where)
-    else:
-        source = files("torchbrdf.assets") / BUNDLED if weights is None else weights
-        where = str(source)
-        data = read_json(where, MetricFile, "a learned metric, as the recipe train_metric writes it")
-    for key, expected in schema().items():
-        if data.get(key, expected) != expected:
-            raise DataError(f"{where}: {key}: expected {expected}, found {shown(data.get(key))}")
-    _check_part(data["weights"], (POINTWISE,), (THETA_H_BINS,), where)
-    for name, shape in SHAPES.items():
-        for kind in COLOR_FEATURES:
-            _check_part(data["weights"], (name, kind), shape, where)
-    if not any(weight.any() for weight in unpack_weights(data["weights"])):
-        raise DataError(f"{where}: expected a weight above 0, found none")
-    return data
-
-
-def _convert(weights: Mapping[str, Any], where: str) -> "MetricFile":
-    import msgspec  # late: not every loss has weights from outside
-
-    try:
-        return msgspec.convert(dict(weights), MetricFile)
-    except (msgspec.ValidationError, RecursionError) as error:
-        raise DataError(f"{where}: expected a learned metric, found {error}") from None
-
-
-def schema() -> dict[str, Any]:
-    """What the weights of a `metric.json` are the weights of."""
-    return {"floor": FLOOR, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}
-
-
-def _check_part(weights: Any, names: tuple[str, ...], shape: tuple[int, ...], where: str) -> None:
-    expected = " x ".join(map(str, shape))
-    for name in names:
-        weights = weights[name]
-    try:
-        part = torch.tensor(weights, dtype=torch.float64, device="cpu")
-        fits = part.shape == shape and bool(((part >= 0) & (part <= LARGEST_WEIGHT)).all())
-    except (TypeError, ValueError, OverflowError):  # lists of different lengths; whole numbers of many digits
-        fits = False
-    if not fits:
-        wanted = f"{expected} numbers from 0 to {LARGEST_WEIGHT:g}"
-        raise DataError(f"{where}: {', '.join(names)}: expected {wanted}, found {shown(weights)}")
+def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor]:
+    """`channel_luminance` and `channel_chroma` of a `Comparison`, from the weight of each channel, `(..., 1|C)`."""
+    share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
+    luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
+    luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
+    root = (share / share.sum(-1, keepdim=True)).sqrt()[..., None]
+    one = torch.eye(channels, dtype=share.dtype, device=share.device)
+    return luminance, root * (one - luminance)

@@ -1,94 +1,168 @@
-"""The objective of a loss with bins: beside a mean over pairs, squares of residuals that are linear in averages."""
+"""The objective of the learned metric: beside a mean over pairs, sizes of what is compared of averages in bins.
+
+Averages of f_c = sum_k color_kc s_k are the same sums of averages of the s_k: one matrix product a pass gives them and
+their derivatives. What is compared of them is a few numbers, whose sizes are majorized by parabolas, as penalties are.
+Components are taken to be nowhere negative.
+"""
 
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.objective.pointwise import EncodedProblem, PointwiseObjective, Sums
-from torchbrdf.losses import BinAssignment, BinnedLoss
+from torchbrdf.fitting.objective.pointwise import PointwiseObjective, Sums
+from torchbrdf.losses import LearnedLoss, Loss
+from torchbrdf.losses.learned import Comparison, Encoded, cosines, gloss, rounded_absolute
+from torchbrdf.losses.metric_file import CUBE_EPSILON, EPSILON
+
+# Over how much cube roots are rounded, in units of what logarithms are.
+COLOR_WIDTH = 0.1
 
 
 class BinnedSums(Sums):
-    """Beside what every pointwise objective adds up, the averages of bins and their derivatives by the responses."""
+    """Beside what every pointwise objective adds up, the sums of the responses in bins."""
 
     objective: "BinnedObjective"
-    means: Tensor | float = 0.0
-    mean_slopes: Tensor | float = 0.0
 
-    def add(
-        self,
-        samples: slice,
-        difference: Tensor,
-        rate: Tensor,
-        basis: Tensor,
-        weight: Tensor | None,
-        width: Tensor | None,
-        curvature: bool,
-    ) -> None:
-        """Add some pairs, as `Sums.add` does, and their share in each bin."""
-        super().add(samples, difference, rate, basis, weight, width, curvature)
-        membership = self._own(self.objective.assignment.membership[:, samples])
-        if self.objective.given_weight is not None:
-            given = self._own(self.objective.given_weight[..., samples])
-            difference, rate = difference * given, rate * given
-        derivatives = (rate[:, :, None] * basis[:, None]).flatten(1, 2)
-        self.means = self.means + (difference @ membership).double()
-        self.mean_slopes = self.mean_slopes + (derivatives @ membership).double()
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.bins: Tensor | float = 0.0
+
+    def add(self, samples: slice, difference: Tensor, rate: Tensor, responses: Tensor, weight: Tensor | None) -> None:
+        """Add some pairs, as `Sums.add` does, and their responses to the bins they are in."""
+        super().add(samples, difference, rate, responses, weight)
+        self.bins = self.bins + self.objective.binned(samples, self.materials, responses).double()
 
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Value, gradient and matrix, as `Sums.totals` gives them, with those of the bins' residuals."""
+        """Value, gradient and matrix, as `Sums.totals` gives them of single values, with those of the averages."""
+        objective, constants = self.objective, self.objective.constants
+        share = constants[5] / self._own(objective.encoded.total)
         value, gradient, matrix = super().totals(jacobian)
-        mass, factor = self._own(self.objective.assignment.mass), self.objective.mean_factor
-        slopes = (self.mean_slopes / mass).unflatten(1, (3, -1))
-        residual = (self.means / mass).flatten(1) @ factor
-        mean_jacobian = torch.einsum("rcqg,rcqp->rpcg", slopes, jacobian).flatten(2) @ factor
-        value = value + residual.square().sum(1)
-        gradient = gradient + 2 * (mean_jacobian @ residual[..., None])[..., 0]
-        return value, gradient, matrix + 2 * mean_jacobian @ mean_jacobian.mT if self.grams is not None else matrix
+        value, gradient = value * share, gradient * share[:, None]
+        matrix = matrix * share[:, None, None] if self.curvature else matrix
+
+        comparison, target = self._comparison(), objective.target_code
+        responses = (self.bins / comparison.bins.mass[:, :, None]).expand(-1, 3, -1, -1)  # (m, 3, Q, B)
+        components = responses[:, :, responses.shape[2] - self.albedos.shape[2] :]
+        averages = torch.einsum("rck,rckb->rcb", self.albedos.double(), components)
+        slopes = torch.einsum("rcqb,rcqp->rcbp", responses[:, :, : self.used], jacobian)
+        brightness = (comparison.channel_luminance @ averages)[:, 0] + EPSILON
+        a = brightness.log() - self._own(target.luminance)
+        a_slopes = torch.einsum("rxc,rcbp->rpb", comparison.channel_luminance, slopes) / brightness[:, None]
+        color = averages + CUBE_EPSILON
+        root = color.pow(1 / 3)
+        chroma = comparison.channel_chroma @ ((root - self._own(target.color)) @ comparison.chroma)
+        root_slopes = (root / (3 * color))[..., None] * slopes
+        mixed = torch.einsum("rcbp,rbj->rpcj", root_slopes, comparison.chroma.expand(len(slopes), -1, -1))
+        chroma_slopes = comparison.channel_chroma[:, None] @ mixed
+
+        width = None if self.width is None else self.width[:, :, 0].double()
+        color_width = None if width is None else COLOR_WIDTH * width
+        for found, slope, weight, over in (
+            (a[:, None], a_slopes[:, :, None], constants[0] * comparison.luminance, width),
+            (
+                gloss(a).flatten(1)[:, None],
+                gloss(a_slopes).flatten(2)[:, :, None],
+                (constants[1:3, None] * comparison.gloss).flatten(1),
+                width,
+            ),
+            (chroma, chroma_slopes, constants[None, 3:5], color_width),
+        ):
+            parts = _size(found, slope, weight, over, self.curvature)
+            value, gradient = value + parts[0], gradient + parts[1]
+            matrix = matrix + parts[2] if self.curvature else matrix
+        return value, gradient, matrix
+
+    def _comparison(self) -> Comparison:
+        bins, *others = self.objective.comparison
+        own = [self._own(x) for x in others]
+        return Comparison(bins._replace(mass=self._own(bins.mass)), *own)
 
     def _own(self, values: Tensor) -> Tensor:
         """What belongs to these materials."""
         return values if self.materials is None or len(values) == 1 else values[self.materials]
 
 
+def _size(
+    found: Tensor, slopes: Tensor, weight: Tensor, width: Tensor | None, curvature: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The weighted sum of lengths of vectors, with its gradient and the matrix of its majorizer.
+
+    found: J vectors of C numbers, `(m, C, J)`; slopes: `(m, P, C, J)`; weight: `(m|1, J)`; width: `(m, 1)`.
+    """
+    norm = found.square().sum(1).sqrt()
+    size, _, curve = rounded_absolute(norm, width)
+    curve = (weight * curve)[:, None]
+    gradient = torch.einsum("rpcj,rcj->rp", slopes, curve * found)
+    if not curvature:
+        return (weight * size).sum(1), gradient, gradient.new_empty(0)
+    flat = slopes.flatten(2)
+    return (weight * size).sum(1), gradient, (flat * curve.expand_as(found).flatten(1)[:, None]) @ flat.mT
+
+
 class BinnedObjective(PointwiseObjective):
-    """The square of a binned loss's error; bins divide for themselves, so that the norm is 1."""
+    """The learned distance; bins divide for themselves, so that the norm is 1."""
 
     sums = BinnedSums
-    loss: BinnedLoss
+    loss: LearnedLoss
+
+    @staticmethod
+    def applies(loss: Loss) -> bool:
+        """Whether it is the learned metric, with an encoding of one value at a time."""
+        return isinstance(loss, LearnedLoss) and loss.is_elementwise()
 
     @cached_property
-    def assignment(self) -> BinAssignment:
-        """Which bins the pairs are in."""
-        return self.loss.assignment(self.problem.pairs, self.problem.weight, self.problem.target)
+    def comparison(self) -> Comparison:
+        """How averages in bins are compared."""
+        return self.loss.comparison(self.problem.pairs, self.problem.weight, self.problem.target)
 
     @cached_property
-    def given_weight(self) -> Tensor | None:
-        """The weights of the problem, `(M|1, 1, N)`, if it has any."""
-        return None if self.problem.weight is None else self.problem.weight.mT
+    def target_code(self) -> Encoded:
+        """What is compared of the targets."""
+        problem = self.problem
+        with torch.no_grad():
+            found = self.loss.encoded(problem.target, problem.pairs, self.comparison)
+        return found._replace(values=found.values[:, :0])  # `encoded` has them, channels first
 
     @cached_property
-    def mean_factor(self) -> Tensor:
-        """`BinnedLoss.mean_factor` of three channels."""
-        return self.loss.mean_factor(3).to(self.assignment.mass)
-
-    @cached_property
-    def encoded(self) -> EncodedProblem:
-        """The problem with the weights of squares of single pairs."""
-        weight = self.assignment.pointwise_weight
-        weight = weight if self.problem.weight is None else weight * self.problem.weight
-        return EncodedProblem(self.problem, self.loss, weight.mT)
+    def constants(self) -> Tensor:
+        """Those of the loss, where the problem is."""
+        return self.loss.constants.to(self.problem.target.device)
 
     @cached_property
     def zero_prediction_error(self) -> Tensor:
-        """The squared error of a prediction that is 0 everywhere."""
+        """The distance of a prediction that is 0 everywhere."""
         problem = self.problem
-        zero = torch.zeros_like(problem.target)
-        found = self.loss.error(zero, problem.target, problem.pairs, problem.weight).square()
+        with torch.no_grad():
+            zero = torch.zeros_like(problem.target)
+            found = self.loss.error(zero, problem.target, problem.pairs, problem.weight)
         return torch.where(found > 0, found, 1)
+
+    @property
+    def target_scale(self) -> Tensor:
+        """1: what is compared is logarithms, or nearly."""
+        return torch.ones_like(self.encoded.total)
 
     @property
     def norm(self) -> Tensor:
         """Bins divide for themselves."""
         return torch.ones_like(self.encoded.total)
+
+    @cached_property
+    def _exposure(self) -> Tensor:
+        """What makes of a response its x, times the weight of each pair, `(M|1, 1|3, N)`."""
+        exposure = self.loss.scale * cosines(self.problem.pairs)
+        weight = self.problem.weight
+        return (exposure if weight is None else exposure * weight).mT
+
+    def binned(self, samples: slice, materials: Tensor | None, responses: Tensor) -> Tensor:
+        """Sums of responses `(m, Q, n)`, as x, in the bins, `(m, 1|3, Q, B)`."""
+        exposure, shares = self._exposure[..., samples], self.comparison.bins.shares[:, samples]
+        if materials is not None:
+            exposure = exposure[materials] if len(exposure) > 1 else exposure
+            shares = shares[materials] if len(shares) > 1 else shares
+        columns = exposure[..., None] * shares[:, None]
+        if len(columns) == 1 and columns.shape[1] == 1:
+            return (responses.flatten(0, 1) @ columns[0, 0]).unflatten(0, responses.shape[:2])[:, None]
+        return responses[:, None] @ columns

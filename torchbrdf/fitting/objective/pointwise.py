@@ -53,32 +53,36 @@ class EncodedProblem:
 
 
 class Sums:
-    """What a pass over the pairs adds up for m problems: value, and derivatives by the responses in use."""
+    """What a pass over the pairs adds up for m problems: value, and derivatives by the responses in use.
 
-    def __init__(self, objective: "PointwiseObjective", materials: Tensor | None, problems: int, used: int) -> None:
-        self.objective, self.materials = objective, materials
-        device = objective.problem.target.device
-        self.value = torch.zeros(problems, dtype=torch.float64, device=device)
-        self.slopes = self.value.new_zeros(problems, 3, used)
-        self.grams: Tensor | None = None
+    materials: of which each problem is, None: all; used: how many responses are in use; albedos: the colours of the
+    components, `(m, 3, K)`; width: over which a cusp is rounded, `(m, 1, 1)`; curvature: whether a matrix is wanted.
+    """
 
-    def add(
+    def __init__(
         self,
-        samples: slice,
-        difference: Tensor,
-        rate: Tensor,
-        basis: Tensor,
-        weight: Tensor | None,
+        objective: "PointwiseObjective",
+        materials: Tensor | None,
+        used: int,
+        albedos: Tensor,
         width: Tensor | None,
         curvature: bool,
     ) -> None:
-        """Some pairs: encoded differences and the rates of encoding `(m, 3, n)`, responses in use `(m, q, n)`."""
-        penalty, slope, curve = self.objective.loss.penalty_with_derivatives(difference, width)
+        self.objective, self.materials, self.used = objective, materials, used
+        self.albedos, self.width, self.curvature = albedos, width, curvature
+        self.value = torch.zeros(len(albedos), dtype=torch.float64, device=albedos.device)
+        self.slopes = self.value.new_zeros(len(albedos), 3, used)
+        self.grams: Tensor | None = None
+
+    def add(self, samples: slice, difference: Tensor, rate: Tensor, responses: Tensor, weight: Tensor | None) -> None:
+        """Some pairs: encoded differences and the rates of encoding `(m, 3, n)`, all responses `(m, Q, n)`."""
+        basis = responses[:, : self.used]
+        penalty, slope, curve = self.objective.loss.penalty_with_derivatives(difference, self.width)
         if weight is not None:
             penalty, slope, curve = penalty * weight, slope * weight, curve * weight
         self.value += penalty.sum((1, 2)).double()
         self.slopes += torch.bmm(slope * rate, basis.mT).double()
-        if curvature:
+        if self.curvature:
             curve = (curve * rate.square()).expand(len(basis), -1, basis.shape[2])
             curved = (curve[:, :, None] * basis[:, None]).flatten(1, 2)
             gram = torch.bmm(curved, basis.mT).double()
@@ -162,14 +166,14 @@ class PointwiseObjective(GaussNewtonObjective):
         rows = None if self.is_every_material(materials) else materials
         albedos = basis.albedos(values, dtype)
         width = None if width is None else width[:, None, None].to(dtype)
-        sums = self.sums(self, rows, problems, len(basis.used))
+        sums = self.sums(self, rows, len(basis.used), albedos, width, curvature)
         for part, pairs in self.chunks(problems):
             if pairs.shape[0] > 1 and rows is not None:
                 pairs = pairs.select(rows)
             responses = basis.stacked(pairs, values, dtype, problems)
             target, weight = self.encoded.part(part, rows)
             code, rate = channels.encode_with_derivative(self.loss, basis.predict(albedos, responses), pairs)
-            sums.add(part, code - target, rate, responses[:, : len(basis.used)], weight, width, curvature)
+            sums.add(part, code - target, rate, responses, weight)
         value, gradient, matrix = sums.totals(basis.jacobian(values, albedos.double()))
         norm = self.norm.expand(len(self))[materials] * scale
         matrix = matrix / norm[:, None, None] if curvature else matrix

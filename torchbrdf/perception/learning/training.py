@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.losses.base import Loss
-from torchbrdf.losses.learned import THETA_H_BINS, pack_weights
+from torchbrdf.losses.former import THETA_H_BINS, pack_weights
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet

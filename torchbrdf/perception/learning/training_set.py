@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.losses.learned import encode, features, soft_bins
+from torchbrdf.losses.former import encode, features, soft_bins
 from torchbrdf.perception.agreement.scores import BenchmarkData, EvaluatedBrdfs
 from torchbrdf.perception.agreement.statistics import DistanceComparisons, across_materials, majorities, same_material
 from torchbrdf.perception.datasets.opinions import Opinions
