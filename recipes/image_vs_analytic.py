@@ -92,8 +92,8 @@ class ImageVsAnalytic(FitGridRecipe):
             losses[loss.registered_name] = loss
         little = small_scene(mesh, light, size=self.combined_size, light_samples=lights, cache=folder.path / "cache")
         for name in self.combined:
-            loss = CombinedLoss(make_loss(name), RenderedLoss(little, tone=pictures.tones[TRAINING]))
-            losses[loss.registered_name] = loss
+            both = CombinedLoss(make_loss(name), RenderedLoss(little, tone=pictures.tones[TRAINING]))
+            losses[both.registered_name] = both
         for name in map(DIFFERENCES.canonical, self.chosen_by):
             same = losses.get(f"rendered_{name}")
             losses[f"image_driven_{name}"] = same or RenderedLoss(small, name, tone=pictures.tones[TRAINING])
@@ -106,8 +106,8 @@ class ImageVsAnalytic(FitGridRecipe):
             UNSEEN: f"{self.unseen_shape}, {self.unseen_environment}, turned by {self.unseen_turn:g}° and from above",
         }
         used = (
-            f"Rendered-image losses saw the training scene, {train} x {train} pixels with {small.nodes} directions around "
-            f"the mirror's and {lights} lights a pixel, and so did the image-driven choice; combined losses saw it with "
+            f"Rendered-image losses and the image-driven choice saw the training scene, {train} x {train} pixels with "
+            f"{small.nodes} directions around the mirror's and {lights} lights a pixel; combined losses saw it with "
             f"{little.size} x {little.size} pixels and {little.nodes} directions."
         )
         return write_images_report(pictures, said, used, bad)

@@ -89,7 +89,7 @@ def test_what_it_is_made_of_is_checked() -> None:
     assert isinstance(ImageDriven((torch.nn.MSELoss(),)).losses[0], FunctionLoss)
     with pytest.raises(UsageError, match="metrics: expected at least one loss, found none"):
         ImageDriven(())
-    with pytest.raises(UsageError, match="unknown loss 'lgo'; .* did you mean 'log'"):
+    with pytest.raises(UsageError, match=r"unknown loss 'lgo'; .* did you mean 'log'"):
         ImageDriven(("lgo",))
     with pytest.raises(UsageError, match="polish: expected a number of steps from 0 on, found -1"):
         ImageDriven(polish=-1)

@@ -42,7 +42,9 @@ def add(commands: Commands) -> None:
         "--lobes", type=whole(1, 8), default=2, help="specular lobes beside the diffuse one, 1 to 8 (default 2)"
     )
     parser.add_argument(
-        "--loss", default="cube_root", help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered, combined"
+        "--loss",
+        default="cube_root",
+        help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered, combined",
     )
     of = "of losses of pictures:"
     parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")

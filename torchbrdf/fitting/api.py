@@ -162,7 +162,8 @@ REASONS = {
 }
 
 
-class _Subset(NamedTuple):
+@dataclass(frozen=True)
+class _Subset:
     """The pairs that a solver works on: so many of all, and the seed by which they are drawn."""
 
     total: int
@@ -171,7 +172,7 @@ class _Subset(NamedTuple):
 
     def index(self, loss: Loss) -> Tensor | None:
         """Which of the pairs; None: all."""
-        return stratified(*self) if loss.supports_subsampling else None
+        return stratified(self.total, self.samples, self.seed) if loss.supports_subsampling else None
 
     def size(self, loss: Loss) -> int | None:
         """How many of the pairs; None: all."""

@@ -14,6 +14,7 @@ from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
 from torchbrdf.lobes.parameter_dict import ParameterDict, with_parameters
 from torchbrdf.losses import CompressedLoss, Loss, as_loss, make_loss
 
+SEARCH = GlobalSearch()
 # Powers of f cos_i from the root to nearly the logarithm, a family such as Bieron and Peers have, and what is apart.
 METRICS: tuple[str | Loss, ...] = (
     CompressedLoss(1 / 2), "compressed", CompressedLoss(1 / 5), CompressedLoss(1 / 10), "cube_root", "learned",
@@ -47,7 +48,7 @@ class ImageDriven:
     """
 
     metrics: Sequence[str | Loss] = METRICS
-    search: Strategy = GlobalSearch()
+    search: Strategy = SEARCH
     polish: int = 0
 
     def __post_init__(self) -> None:

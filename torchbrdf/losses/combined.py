@@ -1,6 +1,6 @@
 """A metric of BRDF values and what a picture shows, in one loss."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -83,9 +83,8 @@ class CombinedLoss(Loss):
         one, other = self.loss.problem(measured, subset), self.rendered.problem(measured)
         weight = one.weight
         if weight is not None:
-            lead, count, channels = weight.shape
-            full = weight.expand(lead, len(one.pairs), channels)
-            weight = torch.cat([full, full.new_ones(lead, len(other.pairs), channels)], 1)
+            full = weight.expand(-1, len(one.pairs), -1)
+            weight = torch.cat([full, torch.ones_like(full[:, :1]).expand(-1, len(other.pairs), -1)], 1)
         target = torch.cat([one.target, other.target.to(one.target)], 1)
         return Problem(Pairs.joined([one.pairs, other.pairs.to(one.pairs.device, one.pairs.dtype)]), target, weight)
 
@@ -101,8 +100,12 @@ class CombinedLoss(Loss):
         if count < 1:
             raise ShapeError(f"CombinedLoss: expected more than the scene's {len(self.rendered.pairs)} pairs, "
                              f"found {len(problem.pairs)}; loss.problem(measured) makes them")  # fmt: skip
-        seen = problem.select(samples=slice(count, None))
-        return Parts(problem.select(samples=slice(count)), Problem(seen.pairs, seen.target))
+        pairs, target, weight = problem.pairs, problem.target, problem.weight
+        first, last = slice(count), slice(count, None)
+        if weight is not None and weight.dim() > 1 and weight.shape[-2] > 1:
+            weight = weight[..., first, :]
+        measured = Problem(pairs.select(samples=first), target[..., first, :], weight)
+        return Parts(measured, Problem(pairs.select(samples=last), target[..., last, :]))
 
     def error(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None

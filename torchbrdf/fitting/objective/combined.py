@@ -17,7 +17,7 @@ from torchbrdf.losses import CombinedLoss, Loss, Problem
 # What a metric beside a picture can be.
 METRICS: dict[str, type[GaussNewtonObjective]] = {"pointwise": PointwiseObjective, "binned": BinnedObjective}
 
-# A value, in units of that of a prediction of 0, whose root has no slope worth following.
+# A value, in units of that of a prediction of 0, whose root has no slope that is worth following.
 _AS_GOOD_AS_0 = 1e-16
 
 
@@ -86,7 +86,7 @@ class CombinedObjective(GaussNewtonObjective):
 
     def subsample(self, samples: int, seed: int) -> "CombinedObjective":
         """The same on some of the measured pairs."""
-        return self._replaced(cast("GaussNewtonObjective", self.metric.subsample(samples, seed)), self.image)
+        return self._replaced(self.metric.subsample(samples, seed), self.image)
 
     def coarse(self, samples: int) -> "CombinedObjective":
         """On few measured pairs, and a share of the picture."""
@@ -109,14 +109,19 @@ class CombinedObjective(GaussNewtonObjective):
         """The sum of both parts'."""
         found = []
         for part, factor in ((self.metric, 1.0), (self.image, self.loss.factor)):
+            unit = part.zero_prediction_error[materials] if part.loss.is_root else torch.ones_like(scale)
             own = _part_width(part, materials, width)
-            whole = part.evaluate(basis, values, materials, torch.ones_like(scale), own, curvature)
-            least = _AS_GOOD_AS_0 * part.zero_prediction_error[materials]
-            value, gradient, matrix = _root(*whole, least, curvature) if part.loss.is_root else whole
+            value, gradient, matrix = part.evaluate(basis, values, materials, unit, own, curvature)
             share = factor / scale
-            found.append((value * share, gradient * share[:, None], matrix * share[:, None, None] if curvature else matrix))
-        (value, gradient, matrix), (other_value, other_gradient, other_matrix) = found
-        return value + other_value, gradient + other_gradient, matrix + other_matrix
+            if part.loss.is_root:
+                root = value.clamp_min(_AS_GOOD_AS_0).sqrt()
+                # The parabola of a root lies nowhere below it, as a root's curvature is none above 0.
+                value, rate = root * unit.sqrt() * share, 0.5 / root * unit.sqrt() * share
+            else:
+                value, rate = value * share, share
+            found.append((value, gradient * rate[:, None], matrix * rate[:, None, None] if curvature else matrix))
+        value, gradient, matrix = (one + other for one, other in zip(*found, strict=True))
+        return value, gradient, matrix
 
 
 def _part_width(part: GaussNewtonObjective, materials: Tensor, width: Tensor | None) -> Tensor | None:
@@ -125,12 +130,3 @@ def _part_width(part: GaussNewtonObjective, materials: Tensor, width: Tensor | N
     if width is None or first is None or last is None:
         return None
     return (first * width).clamp_min(last) * part.target_scale[materials]
-
-
-def _root(
-    value: Tensor, gradient: Tensor, matrix: Tensor, least: Tensor, curvature: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Of a value's parabola that of its root, which is nowhere below it, as a root's curvature is none above 0."""
-    root = torch.maximum(value, least).sqrt()
-    rate = 0.5 / root
-    return root, gradient * rate[:, None], matrix * rate[:, None, None] if curvature else matrix
