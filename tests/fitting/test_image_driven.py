@@ -7,6 +7,7 @@ import torch
 
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting import STRATEGIES, FitResult, GlobalSearch, ImageDriven, Status, fit
+from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, FunctionLoss, Loss
 from torchbrdf.measured import load, standins
@@ -87,6 +88,8 @@ def test_what_it_is_made_of_is_checked() -> None:
     assert STRATEGIES["image_driven_polished"] == ImageDriven(polish=3)
     assert repr(ImageDriven(("log",), polish=2)) == "ImageDriven(metrics=('log',), polish=2)"
     assert isinstance(ImageDriven((torch.nn.MSELoss(),)).losses[0], FunctionLoss)
+    assert "\n" in repr(ImageDriven((FunctionLoss(torch.nn.MSELoss()),)))
+    assert strategy_name(ImageDriven((FunctionLoss(torch.nn.MSELoss()),))).isprintable()  # files have it
     with pytest.raises(UsageError, match="metrics: expected at least one loss, found none"):
         ImageDriven(())
     with pytest.raises(UsageError, match=r"unknown loss 'lgo'; .* did you mean 'log'"):
