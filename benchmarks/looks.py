@@ -3,7 +3,8 @@
 python benchmarks/looks.py [--tables MERL/ --materials nickel,brass,...] [--models ward,cook_torrance] [--out looks/]
 
 Without --tables the bundled stand-ins are fitted. Fits are kept in --out and not made again (delete a loss's folders
-there when its code has changed); pictures are drawn anew. Prints tables; writes sheet-MODEL.png and looks.json.
+there when its code has changed); pictures are drawn anew. Prints tables; writes sheet-MODEL-SCENE.png, a figure of a
+few materials for each model (every loss with its default diffuse treatment), and looks.json.
 """
 
 import argparse
@@ -19,11 +20,12 @@ from torchbrdf.experiment.labels import diffuse_label, loss_label, model_label
 from torchbrdf.experiment.pictures import color_difference
 from torchbrdf.fitting import Batches
 from torchbrdf.fitting.api import DIFFUSE_MODES
-from torchbrdf.images import DIFFERENCES, ToneMap
+from torchbrdf.images import DIFFERENCES, ToneMap, composite, write_png
 from torchbrdf.lobes import make_model, model_of
 from torchbrdf.losses import LOSSES, make_loss
-from torchbrdf.measured import PAPER_TEN, standins
-from torchbrdf.render import Camera, Environment, Mesh, RenderedLoss, Scene, blob, render, sphere
+from torchbrdf.measured import PAPER_TEN, is_merl, standins
+from torchbrdf.render import Camera, Environment, Mesh, RenderedLoss, Scene, blob, sphere
+from torchbrdf.report.figures import grid_figure
 from torchbrdf.report.sheet import write_sheet
 
 FORMULAS = ("cube_root", "compressed", "log")
@@ -33,7 +35,8 @@ EIGHT = (
     "two-layer-gold", "white-marble",
 )  # fmt: skip
 # A highlight: how much brighter this share of the object, the reference's brightest pixels, is than the median pixel.
-HIGHLIGHT = 0.01
+# Not at the rim, this share of the picture's side; and not where there is none, in display values.
+HIGHLIGHT, RIM, NO_HIGHLIGHT = 0.01, 0.04, 0.1
 
 
 def torus(thick=0.42, around=160, across=80):
@@ -78,7 +81,7 @@ def fits_of(measured, options):
     for model in options.models:
         for name in options.losses:
             loss = loss_of(name)
-            for diffuse in options.diffuse if name != RENDERED else ("fit",):
+            for diffuse in options.diffuse:
                 out = options.out / f"{model}-{name}-{diffuse.replace(':', '-')}"
                 batches = Batches(
                     make_model(model, 2), loss, out=out, diffuse=diffuse, strategy="global", max_theta=80.0,
@@ -95,18 +98,23 @@ class Judge:
     """Pictures of the references in a scene, and how far those of fits are from them."""
 
     def __init__(self, scene, measured):
-        linear = render(measured, scene)
+        linear = scene.transport @ measured.at(scene.pairs)
         self.scene, self.tone = scene, ToneMap.from_images(linear, scene.mask.expand(linear.shape[:-1]))
         self.shown = self.tone(linear)
+        width = 2 * round(RIM * scene.size) + 1
+        outside = 1 - scene.mask[None].to(torch.float32)
+        self.inside = torch.nn.functional.max_pool2d(outside, width, 1, width // 2)[0] == 0
 
     def __call__(self, records):
         """Display values, mean Delta E of each, and how much of the reference's highlight there is."""
-        shown = self.tone(render(model_of(records, torch.float32), self.scene))
+        with torch.no_grad():
+            values = torch.cat([model_of([record], torch.float32)(self.scene.pairs) for record in records])
+        shown = self.tone(self.scene.transport @ values)
         apart = DIFFERENCES["delta_e76"]()(shown, self.shown, self.scene.mask)
-        mine, theirs = (picture.mean(-1)[:, self.scene.mask] for picture in (shown, self.shown))
+        mine, theirs = (picture.mean(-1)[:, self.inside] for picture in (shown, self.shown))
         brightest = theirs.topk(max(int(HIGHLIGHT * theirs.shape[1]), 1)).indices
         mine, theirs = (x.gather(1, brightest).mean(1) - x.median(1).values for x in (mine, theirs))
-        return shown, apart, mine / theirs
+        return shown, apart, torch.where(theirs > NO_HIGHLIGHT, mine / theirs, 1)
 
 
 def summary(names, judged, options):
@@ -160,6 +168,26 @@ def sheets(names, judges, judged, options):
             print(path)
 
 
+def figures(measured, judges, judged, options, stand_in):
+    """A small figure for each model: references, and fits under each loss with its default treatment."""
+    names = [name for name in options.figure if name in measured.names]
+    place, judge = next(iter(judges.items()))
+    for model in options.models if names else ():
+        rows = {"reference": judge.shown}
+        for name in options.losses:
+            diffuse = loss_of(name).default_diffuse
+            if (model, name, diffuse) in judged:
+                rows[f"{loss_label(name)},\n{diffuse_label(diffuse)}"] = judged[model, name, diffuse][place][0]
+        paths = {}
+        for k, (label, shown) in enumerate(rows.items()):
+            paths[label] = [options.out / "pictures" / f"{model}-{k}-{name}.png" for name in names]
+            for name, path in zip(names, paths[label], strict=True):
+                write_png(path, composite(shown[measured.names.index(name)], judge.scene.coverage))
+        path = options.out / f"figure-{model}.png"
+        grid_figure(path, names, paths, stand_in)
+        print(path)
+
+
 def options_of(arguments):
     """What to fit and how."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -170,9 +198,10 @@ def options_of(arguments):
     parser.add_argument("--diffuse", default="fit,45:0")
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--size", type=int, default=128, help="pixels of a side of the pictures that are compared")
+    parser.add_argument("--figure", default="gold-metallic-paint2,blue-acrylic,alum-bronze,silver-metallic-paint,nylon")
     parser.add_argument("--out", type=Path, default=Path("looks"))
     options = parser.parse_args(arguments)
-    for key in ("models", "losses", "diffuse"):
+    for key in ("models", "losses", "diffuse", "figure"):
         setattr(options, key, getattr(options, key).split(","))
     options.losses = [x if x == RENDERED else LOSSES.canonical(x) for x in options.losses]
     names = {None: PAPER_TEN, "ten": PAPER_TEN, "eight": EIGHT}.get(options.materials)
@@ -185,9 +214,10 @@ def main(arguments=None):
     options = options_of(arguments)
     if options.tables is None:
         measured = load(standins())
-        measured = measured.batch([measured.names.index(name) for name in options.materials])
+        measured, stand_in = measured.batch([measured.names.index(name) for name in options.materials]), True
     else:
-        measured = load([options.tables / f"{name}.binary" for name in options.materials])
+        paths = [options.tables / f"{name}.binary" for name in options.materials]
+        measured, stand_in = load(paths), not all(map(is_merl, paths))
     names = measured.names
     fits = fits_of(measured, options)
     judges = {place: Judge(scene, measured) for place, scene in scenes(options.size).items()}
@@ -195,6 +225,7 @@ def main(arguments=None):
     summary(names, judged, options)
     by_material(names, judged)
     sheets(names, judges, judged, options)
+    figures(measured, judges, judged, options, stand_in)
     kept = [
         {"model": m, "loss": x, "diffuse": d, "scene": place, "delta_e76": dict(zip(names, v[1].tolist(), strict=True))}
         for (m, x, d), places in judged.items()

@@ -22,7 +22,7 @@ def test_fit_prints_and_writes(paint, tmp_path, capsys):
     assert "paint" in printed.out and "roughness" in printed.out
     assert printed.err == ""  # no progress bar where there is no terminal
     (record,) = json.loads((out / "fits.json").read_text())
-    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "cube_root"
+    assert record["material"] == "paint" and record["model"] == "ward" and record["loss"] == "learned"
     assert (out / "fits.csv").read_text().count("\n") == 2
 
 
@@ -117,7 +117,7 @@ def test_run_lists_recipes_and_settings(capsys):
         (
             ["fit", "PAINT", "--difference", "flip"],
             2,
-            "--difference: expected only with --loss rendered or combined, found --loss cu",
+            "--difference: expected only with --loss rendered or combined, found --loss le",
         ),
         (["fit", "PAINT", "--size", "64", "--loss", "rms"], 2, "--size: expected only with --loss rendered"),
         (["fit", "PAINT", "--loss", "rendered", "--difference", "nope"], 2, "unknown difference 'nope'"),
@@ -235,7 +235,7 @@ def test_what_older_fits_do_not_say_is_called_so(paint, tmp_path, capsys):
     del record["diffuse"]
     (tmp_path / "fits.json").write_text(json.dumps([record]))
     assert main(arguments) == 1
-    assert "was fitted with diffuse that the file does not say, not '45:0'" in capsys.readouterr().err
+    assert "was fitted with diffuse that the file does not say, not 'fit'" in capsys.readouterr().err
 
 
 def test_words_may_stand_behind_options(paint, tmp_path, capsys):

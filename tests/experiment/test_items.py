@@ -1,5 +1,7 @@
 """What files hold, by label and by file name."""
 
+from dataclasses import replace
+
 import pytest
 
 from torchbrdf.experiment.items import distinct_stems, list_items
@@ -13,12 +15,12 @@ DULL = parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughn
 
 def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
     fit = FitRecord("made-up", "ward", 1, DULL, loss="log", strategy="global")
-    write_fits(tmp_path / "fits.json", [FitRecord("made-up", "ward", 1, DULL), fit, fit])
+    write_fits(tmp_path / "fits.json", [FitRecord("made-up", "ward", 1, DULL), fit, replace(fit, diffuse="45:0")])
     items = list_items(load_all([tmp_path / "fits.json", merl_file]))
     assert [item.label for item in items] == [
         "made-up (stand-in)",
         "made-up: Ward, 1 lobe, log, global",
-        "made-up: Ward, 1 lobe, log, global #2",
+        "made-up: Ward, 1 lobe, log, global, diffuse held at 45:0",
         "made-up (measured)",
     ]
     assert [item.reference for item in items] == [None, 3, 3, None]

@@ -10,6 +10,7 @@ import pytest
 import torch
 from helpers.known_models import measured_from, some_pairs, two_lobes
 
+from torchbrdf.errors import DataError
 from torchbrdf.fitting import Batches, Status, cross_score, fit
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.losses import RMSLoss
@@ -67,6 +68,17 @@ def test_a_fit_whose_process_died_is_made_again(tmp_path):
     a, b = batches(tmp_path).run([materials(["a", "b"])])
     assert b.status == "converged" and b.error == good["error"]
     assert [record.status for record in read_fits(tmp_path / "fits.json")] == [a.status, "converged"]
+
+
+def test_fits_are_taken_up_with_the_diffuse_treatment_that_the_loss_has(tmp_path):
+    class FreeLoss(RMSLoss):
+        default_diffuse = "fit"
+
+    (record,) = Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, samples=None).run([materials(["a"])])
+    assert record.diffuse == "fit"
+    Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, diffuse="fit")
+    with pytest.raises(DataError, match="a was fitted with diffuse 'fit', not '45:0'; give another folder"):
+        Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, diffuse="45:0")
 
 
 def deadly_loss(folder, times):

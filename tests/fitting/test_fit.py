@@ -23,7 +23,7 @@ from torchbrdf.lobes import (
     read_fits,
     write_fits,
 )
-from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, RMSLoss
+from torchbrdf.losses import LOSSES, CosineRMSLoss, CubeRootLoss, LearnedLoss, RMSLoss
 from torchbrdf.measured import load
 
 TRUTHS = {
@@ -86,6 +86,28 @@ def test_diffuse_fit_moves_the_diffuse_albedo():
     )
     assert free.error.item() < 0.01 * held.error.item()
     torch.testing.assert_close(free.model.components()[0].albedo[0], truth.components()[0].albedo, atol=1e-3, rtol=0)
+
+
+class FreeLoss(RMSLoss):
+    """One whose fits look better with the diffuse albedo free."""
+
+    default_diffuse = "fit"
+
+
+@pytest.mark.parametrize(
+    ("loss", "expected"),
+    [(RMSLoss(), "45:0"), (FreeLoss(), "fit"), (LearnedLoss(), "fit")],
+    ids=["held", "free", "learned"],
+)
+def test_a_fit_that_is_not_told_treats_the_diffuse_albedo_as_its_loss_has_it(loss, expected):
+    measured = measured_from(TRUTHS["ward"].double())
+    found, told = (
+        fit(make_model("ward", 1), measured, loss, samples=None, **more) for more in ({}, {"diffuse": expected})
+    )
+    assert found.diffuse == expected
+    assert torch.equal(found.model.components()[0].albedo, told.model.components()[0].albedo)
+    other = {"fit": "45:0", "45:0": "fit"}[expected]
+    assert fit(make_model("ward", 1), measured, loss, samples=None, diffuse=other).diffuse == other
 
 
 def test_bounds_hold():

@@ -21,11 +21,11 @@ OF_PICTURES = {RENDERED: OF_RENDERED, COMBINED: OF_RENDERED | {"size": 24}}
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
 
-  torchbrdf fit nickel.binary --model ward --lobes 2 --loss cube_root
+  torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
-  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76 --diffuse fit
-  torchbrdf fit nickel.binary --model ward --loss rendered --strategy image_driven --diffuse fit
-  torchbrdf fit nickel.binary --model ward --loss combined --diffuse fit
+  torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76
+  torchbrdf fit nickel.binary --model ward --loss rendered --strategy image_driven
+  torchbrdf fit nickel.binary --model ward --loss combined
 
 The last three compare pictures: in every step; of fits under several metrics, of which the nearest is kept; and small
 ones beside the learned metric. A folder is fitted in batches, and each is written as it is done: run the command again,
@@ -43,8 +43,8 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument(
         "--loss",
-        default="cube_root",
-        help="rms, cosine_rms, cube_root (default), compressed, log, ..., rendered, combined",
+        default="learned",
+        help="learned (default), rms, cosine_rms, cube_root, compressed, log, ..., rendered, combined",
     )
     of = "of losses of pictures:"
     parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")
@@ -58,7 +58,11 @@ def add(commands: Commands) -> None:
         help="global (default): the best fit; staged: the paper's way; image_driven: of fits under several metrics the "
         "nearest",
     )
-    parser.add_argument("--diffuse", default="45:0", help="45:0 (default): measured and held; fit: fitted")
+    parser.add_argument(
+        "--diffuse",
+        help="the diffuse albedo: 45:0, measured and held; fit, with the rest; by default what looks best under the "
+        "loss, fit for learned and pictures, 45:0 for others",
+    )
     parser.add_argument(
         "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
     )
@@ -77,13 +81,14 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
+    from torchbrdf.experiment.labels import diffuse_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
     from torchbrdf.lobes import make_model, read_fits
 
     STRATEGIES[options.strategy]
-    if options.diffuse not in DIFFUSE_MODES:
+    if options.diffuse is not None and options.diffuse not in DIFFUSE_MODES:
         raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
     model = make_model(options.model, options.lobes)
     _check_loss(options)
@@ -110,7 +115,7 @@ def command(options: Options) -> int:
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
-    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters")
+    print(f"{'material':32s} {'error':>10s}  {'status':14s} parameters, {diffuse_label(batches.settings['diffuse'])}")
     for record in records:
         rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
         rest += [f"({note})" for note in _notes(record)]

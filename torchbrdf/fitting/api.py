@@ -46,7 +46,7 @@ def fit(
     loss: Loss | Callable[..., Tensor],
     *,
     strategy: str | Strategy = "global",
-    diffuse: str = "45:0",
+    diffuse: str | None = None,
     max_theta: float = 80.0,
     samples: int | None = 20_000,
     seed: int = 0,
@@ -70,7 +70,8 @@ def fit(
         strategy: a registered one, or one with other options, `GlobalSearch(starts=12)`; "global" finds the best fit,
             "staged" is the paper's procedure.
         diffuse: "45:0" takes the diffuse albedo from the measurement with the light at 45 degrees and the viewer at the
-            normal, and holds it; "fit" moves the model's own.
+            normal, and holds it; "fit" moves the model's own with the rest; None is the loss's `default_diffuse`, by
+            what was seen to look right: "fit" for the learned metric and for pictures, "45:0" for all else.
         max_theta: only pairs with both directions at most so many degrees from the normal count.
         samples: the solver works on a stratified random subset of so many pairs (None: every pair), and finishes on
             every valid pair; both errors are reported.
@@ -94,8 +95,6 @@ def fit(
         >>> fit(make_model("ward", lobes=1), nickel, CosineRMSLoss(), samples=None).names
         ['nickel']
     """
-    if diffuse not in DIFFUSE_MODES:
-        raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {diffuse!r}")
     if not -(2**63) <= seed < 2**63:
         raise UsageError(f"seed: expected an integer of 64 bits, found {seed}")
     if samples is not None and samples < 1:
@@ -106,6 +105,7 @@ def fit(
     if isinstance(strategy, str):
         STRATEGIES[strategy]
     loss = as_loss(loss)
+    diffuse = diffuse_mode(diffuse, loss)
     if loss.objective == "autograd" or not loss.has_closed_derivatives:
         warnings.warn(
             f"{loss.registered_name}: no derivatives of its own: fits differentiate it by autograd, which is slower",
@@ -153,6 +153,18 @@ def fit(
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
+
+
+def diffuse_mode(diffuse: str | None, loss: Loss) -> str:
+    """How a fit under a loss treats the diffuse albedo, one of DIFFUSE_MODES: as asked for, or as the loss has it.
+
+    Raises:
+        UsageError: there is no such mode.
+    """
+    mode = loss.default_diffuse if diffuse is None else diffuse
+    if mode not in DIFFUSE_MODES:
+        raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {mode!r}")
+    return mode
 
 
 REASONS = {

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.files import destination, locked, write_text
-from torchbrdf.fitting.api import fit
+from torchbrdf.fitting.api import diffuse_mode, fit
 from torchbrdf.fitting.result import fits_csv
 from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.images import DIFFERENCES
@@ -60,7 +60,8 @@ class Batches:
     def __init__(
         self, model: Lobe, loss: Loss | Callable[..., Tensor], *, out: Path | None = None, **settings: Any
     ) -> None:
-        self.model, self.loss, self.out, self.settings = model, as_loss(loss), out, settings
+        self.model, self.loss, self.out = model, as_loss(loss), out
+        self.settings = settings | {"diffuse": diffuse_mode(settings.get("diffuse"), self.loss)}
         self.stored = self._read()
 
     @property

@@ -67,6 +67,9 @@ class Loss(nn.Module):
     smoothing_widths: tuple[float | None, ...] = (None,)
     """Widths over which a cusp at equal values is rounded on the way to a minimum, in units of the mean of what is
     encoded, one after the other; None: there is no cusp."""
+    default_diffuse: ClassVar[str] = "45:0"
+    """How `torchbrdf.fit` treats the diffuse albedo unless told: "45:0", measured and held, or "fit". A loss has "fit"
+    where fits under it were seen to look better so."""
     is_root: bool = True
     """Whether the error is the square root of what a fit minimises."""
 

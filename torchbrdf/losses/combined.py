@@ -50,6 +50,7 @@ class CombinedLoss(Loss):
 
     objective = "combined"
     is_root = False
+    default_diffuse = "fit"
 
     def __init__(
         self, loss: Loss, rendered: ImageLoss, factor: float = 1 / EQUAL_WEIGHT, reduction: Reduction = "mean"

@@ -30,6 +30,7 @@ class ImageLoss(Loss):
 
     objective = "image"
     supports_subsampling = False
+    default_diffuse = "fit"
     pairs: Pairs
     """Where it needs values, `(1, N)`."""
 

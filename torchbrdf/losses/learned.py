@@ -13,6 +13,8 @@ from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.losses.base import LOSSES, Loss, version
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
 from torchbrdf.losses.metric_file import CONSTANTS, CUBE_EPSILON, EPSILON, read_metric
+from torchbrdf.losses.problem import MeasuredValues, Problem
+from torchbrdf.losses.solid_angle import solid_angle
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import without_autocast
 from torchbrdf.reduction import Reduction
@@ -25,6 +27,8 @@ GLOSS_THETA_D_BINS = 2
 CHROMA_BINS = ((0, 1), (3, 4))
 """Bins of theta_h whose colours are one: lobe and body."""
 Made = TypeVar("Made")
+# Degrees from the normal within which a direction is as likely as there: half the width of one of MERL's bins.
+HALF_BIN = 0.5
 # Numbers of shares that are kept for the next call with the same pairs.
 CACHED = 1 << 24
 
@@ -136,6 +140,7 @@ class LearnedLoss(Loss):
     needs = ("cos_i", "cos_o", "theta_h", "theta_d")
     objective = "binned"
     is_root = False
+    default_diffuse = "fit"
     # Differences of logarithms, and a tenth of that of cube roots.
     smoothing_widths = (0.2, 0.05, 0.01)
 
@@ -222,6 +227,20 @@ class LearnedLoss(Loss):
                 self._kept_comparison.keep(found, *key, own=bins.mass)
         return found
 
+    def problem(self, measured: MeasuredValues, subset: Tensor | None = None) -> Problem:
+        """As `Loss.problem`; MERL's bins with the weights that make of them pairs uniform in (theta_i, theta_o, phi).
+
+        Such pairs the constants were trained on. The bins are the denser the nearer theta_h is to 0, so that no lobe is
+        so sharp that it slips between them.
+        """
+        found = super().problem(measured, subset)
+        if not measured.on_merl_bins:
+            return found
+        density = uniform_density(found.pairs)
+        given = found.weight
+        own = density if given is None or bool((given == 1).all()) else density * given
+        return Problem(found.pairs, found.target, own)
+
     def encoded(self, values: Tensor, pairs: Pairs, comparison: Comparison) -> Encoded:
         """What is compared of values `(..., N, C)`."""
         x = self.exposed(values, pairs)
@@ -276,6 +295,17 @@ def cosines(pairs: Pairs | None) -> Tensor:
     if pairs is None:
         raise ShapeError("pairs are needed for cos_i and cos_o")
     return pairs.cached(cosines, lambda: pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
+
+
+def uniform_density(pairs: Pairs) -> Tensor:
+    """How much of (theta_i, theta_o, phi) each of MERL's bins covers, as a column `(..., N, 1)`, 1 on average.
+
+    d(omega_i) d(omega_o) is sin(theta_i) sin(theta_o) d(theta_i) d(theta_o) d(phi), but for a constant.
+    """
+    least = math.sin(math.radians(HALF_BIN))
+    sines = [(1 - cosine.square()).clamp_min(least**2).sqrt() for cosine in (pairs.cos_i, pairs.cos_o)]
+    found = solid_angle(pairs) / (sines[0] * sines[1])
+    return (found / found.mean(-1, keepdim=True))[..., None]
 
 
 def rounded_absolute(difference: Tensor, width: Tensor | float | None) -> tuple[Tensor, Tensor, Tensor]:

@@ -60,6 +60,11 @@ class MeasuredValues(Protocol):
         """Weights, `(M|1, N, 3|1)`."""
         ...
 
+    @property
+    def on_merl_bins(self) -> bool:
+        """Whether the pairs are the centres of MERL's bins, all or a fair share of them."""
+        ...
+
     def batch(self, materials: list[int] | None = None, samples: Tensor | None = None) -> "MeasuredValues":
         """Some materials and some of the samples, by index."""
         ...

@@ -45,6 +45,7 @@ class BrdfFormat(ABC):
         paths: The file of each material.
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
         stand_in: Whether the values come from a model that stands in for a measurement.
+        on_merl_bins: Whether `pairs` are the centres of MERL's bins.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it can do better than the nearest sample.
     """
@@ -55,6 +56,7 @@ class BrdfFormat(ABC):
     paths: Sequence[Path]
     pairs: Pairs
     stand_in: bool = False
+    on_merl_bins: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod
@@ -275,6 +277,11 @@ class Measured:
     def stand_in(self) -> bool:
         """Whether the values come from a model that stands in for a measurement."""
         return self.source.stand_in
+
+    @property
+    def on_merl_bins(self) -> bool:
+        """Whether the pairs are the centres of MERL's bins, which are the denser the nearer theta_h is to 0."""
+        return self.source.on_merl_bins
 
     def __len__(self) -> int:
         return len(self.materials)

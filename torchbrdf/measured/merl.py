@@ -56,6 +56,7 @@ class Merl(BrdfFormat):
 
     format = "merl"
     suffixes = (".binary",)
+    on_merl_bins = True
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)

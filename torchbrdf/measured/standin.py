@@ -27,6 +27,7 @@ class StandIn(BrdfFormat):
 
     format = "fits"
     stand_in = True
+    on_merl_bins = True
 
     def __init__(self, records: list[FitRecord], paths: Sequence[Path]) -> None:
         self.records = records

@@ -91,12 +91,15 @@ def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str]
             f"In the {scene} scene the fits under {loss_label(best)} look best of those under analytic metrics (mean "
             f"ΔE {mean[best]:.2f}), those by {loss_label(bought)} best of those that see pictures ({mean[bought]:.2f})."
         )
+    mean = {x: float(np.mean(_values(records, x))) for x in grid.losses}
+    nearest = min(pictured, key=lambda x: mean[x])
     for loss in pictured:
         ours = _by_fit(records, loss)
         others = {key: min(_by_fit(records, x)[key] for x in analytic) for key in ours}
         count = sum(ours[key] <= others[key] for key in ours)
         lines.append(
-            f"{loss_label(loss)}: in the unseen scene no farther from the reference than the best of all "
+            f"{loss_label(loss)}: in the unseen scene mean ΔE {mean[loss]:.2f}, {mean[loss] / mean[nearest]:.2f} times "
+            f"that of {loss_label(nearest)}; no farther from the reference than the best of all "
             f"{len(analytic)} analytic metrics in {count} of {len(ours)} fits. A fit took "
             f"{_seconds(grid, loss):.1f} s; analytic ones {min(_seconds(grid, x) for x in analytic):.2f} to "
             f"{max(_seconds(grid, x) for x in analytic):.2f} s."
@@ -150,7 +153,9 @@ def _grid_figure(pictures: Pictures, scene: str, model: str) -> None:
     lines = {"reference": [pictures.path(picture_name(material), scene) for material in grid.materials]}
     for loss in grid.losses:
         records = [grid.record(material, model, loss) for material in grid.materials]
-        lines[loss_label(loss)] = [pictures.path(grid.picture(record), scene) for record in records]
+        lines[loss_label(loss).replace(" + ", "\n+ ")] = [
+            pictures.path(grid.picture(record), scene) for record in records
+        ]
     grid_figure(grid.folder.path / "figures" / f"{scene}-{model}.png", grid.materials, lines, grid.stand_in)
 
 
@@ -180,7 +185,9 @@ def _choice_table(grid: FitGrid, loss: str) -> Table:
         return Column(model_label(model), lambda name: counts[model][name])
 
     note = f"For how many of the {len(grid.materials)} materials the fit under each metric was the nearest."
-    return table(f"What {loss_label(loss)} chose", note, names, [Column("metric", str), *map(count, grid.models)])
+    return table(
+        f"What {loss_label(loss)} chose", note, names, [Column("metric", loss_label), *map(count, grid.models)]
+    )
 
 
 def _agreement_table(pictures: Pictures, scene: str, metrics: Sequence[str]) -> Table:

@@ -117,27 +117,29 @@ class BinnedObjective(PointwiseObjective):
         """How averages in bins are compared."""
         return self.loss.comparison(self.problem.pairs, self.problem.weight, self.problem.target)
 
-    @cached_property
+    @property
     def target_code(self) -> Encoded:
-        """What is compared of the targets."""
-        problem = self.problem
+        """What is compared of the targets' averages; `encoded` has their single values, channels first."""
+        return self._target_and_zero[0]
+
+    @property
+    def zero_prediction_error(self) -> Tensor:
+        """The distance of a prediction that is 0 everywhere."""
+        return self._target_and_zero[1]
+
+    @cached_property
+    def _target_and_zero(self) -> tuple[Encoded, Tensor]:
+        problem, loss, comparison = self.problem, self.loss, self.comparison
         with torch.no_grad():
-            found = self.loss.encoded(problem.target, problem.pairs, self.comparison)
-        return found._replace(values=found.values[:, :0])  # `encoded` has them, channels first
+            target = loss.encoded(problem.target, problem.pairs, comparison)
+            zero = loss.encoded(torch.zeros_like(problem.target[:1]), problem.pairs, comparison)
+            found = comparison.terms(zero, target) @ self.constants
+        return target._replace(values=target.values[:, :0].clone()), torch.where(found > 0, found, 1)
 
     @cached_property
     def constants(self) -> Tensor:
         """Those of the loss, where the problem is."""
         return self.loss.constants.to(self.problem.target.device)
-
-    @cached_property
-    def zero_prediction_error(self) -> Tensor:
-        """The distance of a prediction that is 0 everywhere."""
-        problem = self.problem
-        with torch.no_grad():
-            zero = torch.zeros_like(problem.target)
-            found = self.loss.error(zero, problem.target, problem.pairs, problem.weight)
-        return torch.where(found > 0, found, 1)
 
     @property
     def target_scale(self) -> Tensor:
