@@ -113,7 +113,7 @@ STRATEGIES.register("image_driven_polished")(ImageDriven(polish=3))
 def _summary(loss: Loss, found: Outcome) -> Stage:
     """All stages of a candidate as one."""
     last = found.stages[-1]
-    iterations = torch.tensor([stage.iterations for stage in found.stages], device="cpu").sum(0).tolist()
+    iterations = [sum(own) for own in zip(*(stage.iterations for stage in found.stages), strict=True)]
     return Stage(f"under {_described(loss)}", last.error, last.status, iterations)
 
 
