@@ -9,7 +9,7 @@ from torch import Tensor
 from torchbrdf.pairs import Pairs
 
 THETA_H = (0.0, 5.0, 15.0, 35.0, 70.0)
-THETA_D = (15.0, 45.0, 75.0)
+THETA_D = (25.0, 50.0, 75.0)
 """Centres of the bins, in degrees."""
 THETA_H_BINS, THETA_D_BINS = len(THETA_H), len(THETA_D)
 BIN_COUNT = THETA_H_BINS * THETA_D_BINS

@@ -1,4 +1,4 @@
-"""A distance between BRDFs whose six constants were learned from what people answered."""
+"""A distance between BRDFs whose three constants were learned from what people answered."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.losses.base import LOSSES, Loss, version
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
-from torchbrdf.losses.metric_file import CONSTANTS, CUBE_EPSILON, EPSILON, read_metric
+from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.losses.solid_angle import solid_angle
 from torchbrdf.pairs import Pairs
@@ -20,12 +20,10 @@ from torchbrdf.precision import without_autocast
 from torchbrdf.reduction import Reduction
 from torchbrdf.roots import safe_norm
 
-GLOSS_BINS = (0, 1)
-"""Bins of theta_h that gloss compares with the last one, the body."""
+LOBE, BODY, COLOR = slice(0, 2), slice(3, 5), slice(2, 5)
+"""Bins of theta_h: those of the lobe and of the body, whose contrast is gloss, and those whose colours count."""
 GLOSS_THETA_D_BINS = 2
 """In how many bins of theta_d, from the first on: highlights at grazing angles say little about gloss."""
-CHROMA_BINS = ((0, 1), (3, 4))
-"""Bins of theta_h whose colours are one: lobe and body."""
 Made = TypeVar("Made")
 # Degrees from the normal within which a direction is as likely as there: half the width of one of MERL's bins.
 HALF_BIN = 0.5
@@ -39,7 +37,7 @@ class Encoded(NamedTuple):
     Args:
         values: log(x + EPSILON) of each value, `(..., N, C)`.
         luminance: log(l.<x> + EPSILON) of each bin, `(..., B)`, float64.
-        color: (<x> + CUBE_EPSILON)^(1/3) of each bin, `(..., C, B)`, float64.
+        color: (<x> + EPSILON)^(1/3) of each bin, `(..., C, B)`, float64.
     """
 
     values: Tensor
@@ -54,55 +52,48 @@ class Comparison(NamedTuple):
 
     Args:
         bins: the pairs in their bins.
-        luminance: the share of bins in the term luminance, `(..., B)`; its sum is 1.
-        gloss: in the terms of gloss, `(..., len(GLOSS_BINS), GLOSS_THETA_D_BINS)`; the sum of each row is 1, or 0 where
-            no bin is there.
-        chroma: in the terms of chroma, `(..., B, len(CHROMA_BINS))`; the sum of each column is 1, or 0.
+        gloss: of luminance, the lobe's mean less the body's, `(..., B)`; 0 where either has no bin with pairs.
+        chroma: of color, its mean, `(..., B)`; its sum is 1, or 0 where no bin has pairs.
         channel_luminance: the share of channels in luminance, `(..., 1, C)`.
         channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
             chroma, `(..., C, C)`.
     """
 
     bins: Bins
-    luminance: Tensor
     gloss: Tensor
     chroma: Tensor
     channel_luminance: Tensor
     channel_chroma: Tensor
 
     def terms(self, one: Encoded, other: Encoded) -> Tensor:
-        """What the constants multiply, `(..., 6)`."""
-        a = one.luminance - other.luminance
-        chroma = self.channel_chroma @ ((one.color - other.color) @ self.chroma)
+        """What the constants multiply, `(..., 3)`."""
+        chroma = (self.channel_chroma @ ((one.color - other.color) @ self.chroma[..., None]))[..., 0]
         parts = [
-            (a.abs() * self.luminance).sum(-1, keepdim=True),
-            (gloss(a).abs() * self.gloss).sum(-1),
-            safe_norm(chroma, -2),
-            self.bins.mean((one.values - other.values).abs())[..., None],
+            ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
+            safe_norm(chroma, -1),
+            self.bins.mean((one.values - other.values).abs()),
         ]
-        return torch.cat(parts, -1)
+        return torch.stack(parts, -1)
 
 
 @LOSSES.register("learned")
 class LearnedLoss(Loss):
-    """How different two materials look to people: six terms of averages in bins and of single values.
+    """How different two materials look to people: in gloss, in colour, and anywhere.
 
     With x = scale max(M, 0) cos_i cos_o and y the same of A; < >_hk the weighted average over the pairs in the soft bin
     h of theta_h and k of theta_d (hat functions between the centres `THETA_H`, 0, 5, 15, 35, 70 degrees, and `THETA_D`,
-    15, 45, 75 degrees); l luminance by ITU-R BT.709; and E = 3e-4:
+    25, 50, 75 degrees); l luminance by ITU-R BT.709; c(v) = sqrt(mean_c (v_c - l.v)^2) chroma; and E = `EPSILON`, 1e-3:
 
-        a_hk = log(l.<x>_hk + E) - log(l.<y>_hk + E)               a bin's luminance, averaged and then compressed
-        g_hk = a_hk - a_70,k                                       gloss: lobe over body
-        e_h  = mean_k ((<x>_hk + 1e-4)^(1/3) - (<y>_hk + 1e-4)^(1/3))
-        c(v) = sqrt(mean_c (v_c - l.v)^2)                          chroma
-        D = w1 mean_hk |a_hk| + w2 mean_(k = 15, 45) |g_0,k| + w3 mean_(k = 15, 45) |g_5,k|
-          + w4 c(mean of e_0, e_5) + w5 c(mean of e_35, e_70) + w6 mean_nc |log(x_nc + E) - log(y_nc + E)|
+        G(x) = mean_(h = 0, 5; k = 25, 50) log(l.<x>_hk + E) - mean_(h = 35, 70; k = 25, 50) log(l.<x>_hk + E)
+        C(x) = mean_(h = 15, 35, 70; k) (<x>_hk + E)^(1/3)
+        D = w1 |G(x) - G(y)| + w2 c(C(x) - C(y)) + w3 mean_nc |log(x_nc + E) - log(y_nc + E)|
 
-    The constants that come with torchbrdf, by their names in `metric.json`:
+    G is gloss, how far the lobe stands out from the body; C the colour beside the highlight. The constants that come
+    with torchbrdf, by their names in `metric.json`:
 
-        w1  luminance    0.1146        w4  chroma_lobe  1.227
-        w2  gloss_0      0.1571        w5  chroma_body  2.044
-        w3  gloss_5      0.02975       w6  pointwise    0.2078
+        w1  gloss      0.3074
+        w2  chroma     6.138
+        w3  pointwise  0.2361
 
     An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The last term holds
     fits together, whose errors would cancel within averages. D is a sum of absolute differences of encodings:
@@ -119,7 +110,7 @@ class LearnedLoss(Loss):
     Args:
         reduction: "none" gives the error of each material, `(...)`; "mean" and "sum" a scalar.
         weights: the path of a `metric.json`, or what such a file holds; None: the constants above.
-        scale: what values are multiplied by, above 0. Dark differences count by `EPSILON`, which is meant for MERL's
+        scale: what values are multiplied by, above 0. Dark differences count by E, which is meant for MERL's
             scale: 1/sr, with white at 1/pi. Give the factor that brings other data there.
 
     Raises:
@@ -193,7 +184,7 @@ class LearnedLoss(Loss):
     def terms(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
-        """What the constants multiply, in the order of `CONSTANTS`, `(..., 6)`, float64; arguments as `error`."""
+        """What the constants multiply, in the order of `CONSTANTS`, `(..., 3)`, float64; arguments as `error`."""
         self._check(prediction, target, pairs, weight)
         prediction, target, pairs = self._widened(prediction, target, pairs)
         if pairs is None:
@@ -247,7 +238,7 @@ class LearnedLoss(Loss):
         averages = comparison.bins.averages(x)
         logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
         luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
-        return Encoded(logs, luminance, (averages + CUBE_EPSILON).pow(1 / 3))
+        return Encoded(logs, luminance, (averages + EPSILON).pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Constants follow to another device, but stay float64, as terms are; half precision would round them."""
@@ -319,26 +310,23 @@ def rounded_absolute(difference: Tensor, width: Tensor | float | None) -> tuple[
     return root, difference * curvature, curvature
 
 
-def gloss(luminance: Tensor) -> Tensor:
-    """Of compressed luminance `(..., B)`, lobes less the body, `(..., len(GLOSS_BINS), GLOSS_THETA_D_BINS)`."""
-    rows = luminance.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))[..., :GLOSS_THETA_D_BINS]
-    return rows[..., GLOSS_BINS, :] - rows[..., -1:, :]
-
-
-def bin_shares(present: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """`luminance`, `gloss` and `chroma` of a `Comparison`, from which bins are there, `(..., B)`."""
+def bin_shares(present: Tensor) -> tuple[Tensor, Tensor]:
+    """`gloss` and `chroma` of a `Comparison`, from which bins are there, `(..., B)`."""
     rows = present.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
-    both = rows[..., GLOSS_BINS, :GLOSS_THETA_D_BINS] * rows[..., -1:, :GLOSS_THETA_D_BINS]
-    each = rows / rows.sum(-1, keepdim=True).clamp_min(1)
-    chroma = torch.zeros(*rows.shape, len(CHROMA_BINS), dtype=rows.dtype, device=rows.device)
-    for column, own in enumerate(CHROMA_BINS):
-        held = rows[..., own, :].amax(-1).sum(-1)[..., None, None].clamp_min(1)
-        chroma[..., own, :, column] = each[..., own, :] / held
-    return (
-        present / present.sum(-1, keepdim=True).clamp_min(1),
-        both / both.sum(-1, keepdim=True).clamp_min(1),
-        chroma.flatten(-3, -2),
-    )
+    lobe, body, color = torch.zeros_like(rows), torch.zeros_like(rows), torch.zeros_like(rows)
+    near = slice(GLOSS_THETA_D_BINS)
+    both = rows[..., LOBE, near].amax(-2, keepdim=True) * rows[..., BODY, near].amax(-2, keepdim=True)
+    for own, place in ((lobe, LOBE), (body, BODY)):
+        own[..., place, near] = _even(rows[..., place, near], -2) * both
+    color[..., COLOR, :] = _even(rows[..., COLOR, :], -1)
+    columns = both.sum((-2, -1), keepdim=True).clamp_min(1)
+    return ((lobe - body) / columns).flatten(-2), _even(color, (-2, -1)).flatten(-2)
+
+
+def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
+    """Shares whose sum is 1, or 0 where there are none."""
+    total = shares.sum(dim, keepdim=True)
+    return shares / torch.where(total > 0, total, 1)
 
 
 def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor]:

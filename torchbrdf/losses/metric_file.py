@@ -9,12 +9,10 @@ from torchbrdf.errors import DataError, shown
 from torchbrdf.losses.bins import THETA_D, THETA_H
 from torchbrdf.reading import read_json
 
-EPSILON = 3e-4
-"""Added to values times cosines before the logarithm: how dark a difference can be before it no longer counts."""
-CUBE_EPSILON = 1e-4
-"""The same before the cube root."""
-CONSTANTS = ("luminance", "gloss_0", "gloss_5", "chroma_lobe", "chroma_body", "pointwise")
-"""Names of w1 to w6, in the order of `LearnedLoss.terms`."""
+EPSILON = 1e-3
+"""Added to values times cosines before they are compressed: how dark a difference can be before it no longer counts."""
+CONSTANTS = ("gloss", "chroma", "pointwise")
+"""Names of w1 to w3, in the order of `LearnedLoss.terms`."""
 BUNDLED = "learned_metric.json"
 LARGEST_CONSTANT = 1e20
 """Trained constants are below 1e3; far larger ones overflow in float32."""
@@ -27,7 +25,6 @@ class MetricFile(TypedDict):
     weights: NotRequired[Any]
     provenance: NotRequired[dict[str, Any]]
     epsilon: NotRequired[float]
-    cube_epsilon: NotRequired[float]
     theta_h: NotRequired[list[float]]
     theta_d: NotRequired[list[float]]
 
@@ -71,4 +68,4 @@ def _convert(weights: Mapping[str, Any], where: str) -> MetricFile:
 
 def schema() -> dict[str, Any]:
     """What the constants of a `metric.json` are the constants of."""
-    return {"epsilon": EPSILON, "cube_epsilon": CUBE_EPSILON, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}
+    return {"epsilon": EPSILON, "theta_h": list(THETA_H), "theta_d": list(THETA_D)}

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from torchbrdf.fitting.objective.pointwise import PointwiseObjective, Sums
 from torchbrdf.losses import LearnedLoss, Loss
-from torchbrdf.losses.learned import Comparison, Encoded, cosines, gloss, rounded_absolute
-from torchbrdf.losses.metric_file import CUBE_EPSILON, EPSILON
+from torchbrdf.losses.learned import Comparison, Encoded, cosines, rounded_absolute
+from torchbrdf.losses.metric_file import EPSILON
 
 # Over how much cube roots are rounded, in units of what logarithms are.
 COLOR_WIDTH = 0.1
@@ -37,7 +37,7 @@ class BinnedSums(Sums):
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix, as `Sums.totals` gives them of single values, with those of the averages."""
         objective, constants = self.objective, self.objective.constants
-        share = constants[5] / self._own(objective.encoded.total)
+        share = constants[2] / self._own(objective.encoded.total)
         value, gradient, matrix = super().totals(jacobian)
         value, gradient = value * share, gradient * share[:, None]
         matrix = matrix * share[:, None, None] if self.curvature else matrix
@@ -48,28 +48,21 @@ class BinnedSums(Sums):
         averages = torch.einsum("rck,rckb->rcb", self.albedos.double(), components)
         slopes = torch.einsum("rcqb,rcqp->rcbp", responses[:, :, : self.used], jacobian)
         brightness = (comparison.channel_luminance @ averages)[:, 0] + EPSILON
-        a = brightness.log() - self._own(target.luminance)
-        a_slopes = torch.einsum("rxc,rcbp->rpb", comparison.channel_luminance, slopes) / brightness[:, None]
-        color = averages + CUBE_EPSILON
-        root = color.pow(1 / 3)
-        chroma = comparison.channel_chroma @ ((root - self._own(target.color)) @ comparison.chroma)
-        root_slopes = (root / (3 * color))[..., None] * slopes
-        mixed = torch.einsum("rcbp,rbj->rpcj", root_slopes, comparison.chroma.expand(len(slopes), -1, -1))
-        chroma_slopes = comparison.channel_chroma[:, None] @ mixed
+        bright_slopes = torch.einsum("rxc,rcbp->rpb", comparison.channel_luminance, slopes) / brightness[:, None]
+        gloss = ((brightness.log() - self._own(target.luminance)) * comparison.gloss).sum(-1)
+        gloss_slopes = (bright_slopes * comparison.gloss[:, None]).sum(-1)
+        color = averages + EPSILON
+        root, weight = color.pow(1 / 3), comparison.chroma[:, None]
+        chroma = comparison.channel_chroma @ ((root - self._own(target.color)) * weight).sum(-1, keepdim=True)
+        root_slopes = (root * weight / (3 * color))[..., None] * slopes
+        chroma_slopes = comparison.channel_chroma @ root_slopes.sum(2)
 
-        width = None if self.width is None else self.width[:, :, 0].double()
-        color_width = None if width is None else COLOR_WIDTH * width
-        for found, slope, weight, over in (
-            (a[:, None], a_slopes[:, :, None], constants[0] * comparison.luminance, width),
-            (
-                gloss(a).flatten(1)[:, None],
-                gloss(a_slopes).flatten(2)[:, :, None],
-                (constants[1:3, None] * comparison.gloss).flatten(1),
-                width,
-            ),
-            (chroma, chroma_slopes, constants[None, 3:5], color_width),
+        width = None if self.width is None else self.width[:, 0, 0].double()
+        for found, slope, constant, over in (
+            (gloss[:, None], gloss_slopes[..., None], constants[0], width),
+            (chroma[..., 0], chroma_slopes.mT, constants[1], None if width is None else COLOR_WIDTH * width),
         ):
-            parts = _size(found, slope, weight, over, self.curvature)
+            parts = _size(found, slope, constant, over, self.curvature)
             value, gradient = value + parts[0], gradient + parts[1]
             matrix = matrix + parts[2] if self.curvature else matrix
         return value, gradient, matrix
@@ -85,20 +78,18 @@ class BinnedSums(Sums):
 
 
 def _size(
-    found: Tensor, slopes: Tensor, weight: Tensor, width: Tensor | None, curvature: bool
+    found: Tensor, slopes: Tensor, constant: Tensor, width: Tensor | None, curvature: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The weighted sum of lengths of vectors, with its gradient and the matrix of its majorizer.
+    """A constant times the length of a vector, with its gradient and the matrix of its majorizer.
 
-    found: J vectors of C numbers, `(m, C, J)`; slopes: `(m, P, C, J)`; weight: `(m|1, J)`; width: `(m, 1)`.
+    found: `(m, C)`; slopes: `(m, P, C)`; width: `(m,)`.
     """
-    norm = found.square().sum(1).sqrt()
-    size, _, curve = rounded_absolute(norm, width)
-    curve = (weight * curve)[:, None]
-    gradient = torch.einsum("rpcj,rcj->rp", slopes, curve * found)
+    size, _, curve = rounded_absolute(found.square().sum(1).sqrt(), width)
+    curve = constant * curve[:, None]
+    gradient = (slopes @ (curve * found)[..., None])[..., 0]
     if not curvature:
-        return (weight * size).sum(1), gradient, gradient.new_empty(0)
-    flat = slopes.flatten(2)
-    return (weight * size).sum(1), gradient, (flat * curve.expand_as(found).flatten(1)[:, None]) @ flat.mT
+        return constant * size, gradient, gradient.new_empty(0)
+    return constant * size, gradient, (slopes * curve[..., None]) @ slopes.mT
 
 
 class BinnedObjective(PointwiseObjective):
