@@ -12,7 +12,7 @@ from torchbrdf.fitting.scoring import errors
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
 from torchbrdf.lobes.parameter_dict import ParameterDict, with_parameters
-from torchbrdf.losses import CompressedLoss, Loss, as_loss, make_loss
+from torchbrdf.losses import LOSSES, CompressedLoss, Loss, as_loss, make_loss
 
 SEARCH = GlobalSearch()
 # Powers of f cos_i from the root to nearly the logarithm, a family such as Bieron and Peers have, and what is apart.
@@ -56,7 +56,8 @@ class ImageDriven:
             raise UsageError("ImageDriven: metrics: expected at least one loss, found none")
         if self.polish < 0:
             raise UsageError(f"ImageDriven: polish: expected a number of steps from 0 on, found {self.polish}")
-        _ = self.losses  # an unknown one is said at once
+        for metric in self.metrics:
+            _ = LOSSES[metric] if isinstance(metric, str) else as_loss(metric)  # a wrong one is said at once
 
     def __repr__(self) -> str:
         """What is not the default: records have it as the strategy's name."""
