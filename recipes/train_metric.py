@@ -1,6 +1,5 @@
 """Learn a readable BRDF metric from what people answered, and judge it on materials that it never saw."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,18 +8,20 @@ import torch
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import HumanAnswersRecipe
 from torchbrdf.experiment.metric_training import join_data, published_data, study_data, train_metric
-from torchbrdf.files import write_json, write_text
+from torchbrdf.files import write_json
 from torchbrdf.losses import LOSSES, make_loss
 from torchbrdf.perception import uniform_pairs
 from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.report import write_metric_report
 
+HELD_OUT = ("materials", "materials_and_method", "materials_and_two_methods")
+
 
 @RECIPES.register("train_metric")
 @dataclass(frozen=True)
 class TrainMetric(HumanAnswersRecipe):
-    """Learn the weights of LearnedLoss from published answers, from one's own study, or both."""
+    """Learn the constants of LearnedLoss from published answers, from one's own study, or both."""
 
     name = "train_metric"
 
@@ -34,8 +35,13 @@ class TrainMetric(HumanAnswersRecipe):
     repeats: int = field(
         default=10, metadata={"help": "of the two-fold cross-validation over materials", "low": 1, "high": 1000}
     )
-    iterations: int = field(
-        default=40, metadata={"help": "of L-BFGS, from which early stopping chooses", "low": 1, "high": 10_000}
+    pointwise: float = field(
+        default=0.3,
+        metadata={
+            "help": "the share of single values in the mean distance of two materials, which is set and not learned",
+            "low": 0.05,
+            "high": 0.95,
+        },
     )
 
     def __post_init__(self) -> None:
@@ -49,9 +55,9 @@ class TrainMetric(HumanAnswersRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Terms of all distances, trainings on halves, one on everything, and what they are worth."""
-        samples, repeats, iterations, replicates = self.samples, self.repeats, self.iterations, self.replicates
+        samples, repeats, replicates = self.samples, self.repeats, self.replicates
         if self.quick:
-            samples, repeats, iterations, replicates = 500, 2, 15, min(replicates, 100)
+            samples, repeats, replicates = 500, 2, min(replicates, 20)
         pairs = uniform_pairs(samples, seed=self.seed).to(dtype=torch.float32)
         losses = {
             name: loss
@@ -69,12 +75,12 @@ class TrainMetric(HumanAnswersRecipe):
             data,
             folder,
             repeats=repeats,
-            iterations=iterations,
             replicates=replicates,
+            pointwise=self.pointwise,
             samples=samples,
             seed=self.seed,
         )
-        write_text(folder.path / "metric.json", json.dumps(trained.metric) + "\n")
-        held_out = {"materials": trained.materials, "methods": trained.methods}
-        write_json(folder.path / "held_out.json", held_out)
+        write_json(folder.path / "metric.json", trained.metric)
+        kept = {name: trained.held_out[k] for k, name in enumerate(HELD_OUT) if k in trained.held_out}
+        write_json(folder.path / "held_out.json", kept)
         return write_metric_report(folder.path, trained, data.mark)

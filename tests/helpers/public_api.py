@@ -115,14 +115,15 @@ def people() -> dict[str, Tensor]:
     """A metric learned from answers, a scale from comparisons, and an interval."""
     data = synthetic_benchmark(questions=30)
     training_set = make_training_set(data, evaluate_brdfs(data, uniform_pairs(60)))
-    history = train(training_set, Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu")), 2)
+    everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
+    training = train(training_set, everything, 0.3)
     first = next(splits(training_set, 1, 0))
     wins = torch.tensor([[[[0, 5, 9], [4, 0, 7], [1, 3, 0]]]], dtype=torch.float64, device="cpu")
     scales = scale(Comparisons(["material"], [["a", "b", "c"]], ["observer"], wins))
     drawn = resample_counts(7, 20).double()
     return {
-        "training": history.curve,
-        "weights": history.weights,
+        "training": training.mismatch,
+        "constants": training.constants,
         "split": first.materials,
         "scale": scales.value,
         "interval": percentile_interval(drawn),

@@ -45,11 +45,9 @@ def plain_cube_root(p: Array, t: Array, cos: Array, weight: Array) -> float:
 
 def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array, weight: Array) -> float:
     """Bin after bin, with the constants that come with torchbrdf; cos (N, 1), weight (N,)."""
-    w1, w2, w3, w4, w5, w6 = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())[
-        "constants"
-    ].values()
+    w1, w2, w3 = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())["constants"].values()
     x, y, light = np.maximum(p, 0) * cos, np.maximum(t, 0) * cos, np.array([0.2126, 0.7152, 0.0722])
-    centres_h, centres_d = [0, 5, 15, 35, 70], [15, 45, 75]
+    centres_h, centres_d = [0, 5, 15, 35, 70], [25, 50, 75]
     a, e = np.full((5, 3), np.nan), np.full((5, 3, 3), np.nan)
     for h in range(5):
         for k in range(3):
@@ -58,21 +56,20 @@ def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array
             if not np.any(weight * high * wide):  # the means below are of the other bins
                 continue
             one, other = (np.average(z, 0, weight * high * wide) for z in (x, y))
-            a[h, k] = np.log(light @ one + 3e-4) - np.log(light @ other + 3e-4)
-            e[h, k] = np.cbrt(one + 1e-4) - np.cbrt(other + 1e-4)
-
-    def chroma(v: Array) -> float:
-        return np.sqrt(np.mean((v - light @ v) ** 2))
-
-    e = np.nanmean(e, 1)
-    single = np.abs(np.log(x + 3e-4) - np.log(y + 3e-4)).mean(1)
+            a[h, k] = np.log(light @ one + 1e-3) - np.log(light @ other + 1e-3)
+            e[h, k] = np.cbrt(one + 1e-3) - np.cbrt(other + 1e-3)
+    gloss = [
+        np.nanmean(a[:2, k]) - np.nanmean(a[3:, k])
+        for k in range(2)
+        if not (np.isnan(a[:2, k]).all() or np.isnan(a[3:, k]).all())
+    ]
+    colors = [np.nanmean(e[h], 0) for h in (2, 3, 4) if not np.isnan(e[h]).all()]
+    v = np.mean(colors, 0) if colors else np.zeros(3)
+    single = np.abs(np.log(x + 1e-3) - np.log(y + 1e-3)).mean(1)
     return (
-        w1 * np.nanmean(np.abs(a))
-        + w2 * np.nanmean(np.abs(a[0, :2] - a[4, :2]))
-        + w3 * np.nanmean(np.abs(a[1, :2] - a[4, :2]))
-        + w4 * chroma(np.nanmean(e[:2], 0))
-        + w5 * chroma(np.nanmean(e[3:], 0))
-        + w6 * np.average(single, weights=weight)
+        w1 * abs(np.mean(gloss) if gloss else 0)
+        + w2 * np.sqrt(np.mean((v - light @ v) ** 2))
+        + w3 * np.average(single, weights=weight)
     )
 
 

@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,19 @@ from torchbrdf.errors import DataError
 from torchbrdf.experiment.settings import STANDINS
 from torchbrdf.lobes import FitRecord, model_of, read_fits
 from torchbrdf.losses import Loss
-from torchbrdf.losses.former import schema
+from torchbrdf.losses.metric_file import schema
 from torchbrdf.measured import load_all, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import BenchmarkData, EvaluatedBrdfs, evaluate_brdfs
 from torchbrdf.perception.datasets.synthetic import SYNTHETIC
 from torchbrdf.perception.learning.training import (
     HeldOut,
-    History,
     Split,
+    Training,
     baseline_distances,
-    best_iteration,
+    constant_intervals,
+    constants_by_name,
     held_out,
-    normalized_weights,
     splits,
     train,
 )
@@ -37,11 +38,12 @@ from torchbrdf.perception.learning.training_set import (
     merge_training_sets,
     training_set_from_choices,
 )
-from torchbrdf.progress import Progress
 from torchbrdf.reading import exists, read_json, read_npz, write_npz
 from torchbrdf.recipe import RunFolder
 from torchbrdf.study import MEASURED, Answer, read_answers, simulated
 
+# Trainings on materials drawn with replacement, at most: each takes a moment, and ends of intervals need no more.
+CONSTANT_REPLICATES = 200
 PUBLISHED = (
     "triplets of Lagunas et al. 2019, doi:10.1145/3306346.3323036; opinions of Lavoue et al. 2021, "
     "doi:10.1111/cgf.142636"
@@ -53,7 +55,7 @@ class TrainingData:
     """What a metric is trained on.
 
     Args:
-        training_set: Features of distances, and what people were asked of them.
+        training_set: Terms of distances, and what people were asked of them.
         baselines: The same distances under registered losses, by name.
         facts: Where it comes from, a record a source.
     """
@@ -140,30 +142,27 @@ class TrainedMetric:
 
     Args:
         metric: What `metric.json` holds.
-        materials: Results with materials held out, as `perception.learning.training.held_out` gives them.
-        methods: Results with a method held out as well.
-        curves: Mismatch by iteration of what was learned from and of the rest, `(trainings, iterations, 2)`.
-        best: The iteration that is taken.
+        held_out: Results by what was kept from trainings, 0: materials, 1: and a method, 2: and two methods, where
+            there are some; as `perception.learning.training.held_out` gives them.
+        shares: What each term has on average of the distances of two materials and of each method, `{name: (T,)}`.
     """
 
     metric: dict[str, Any]
-    materials: HeldOut
-    methods: HeldOut
-    curves: Tensor
-    best: int
+    held_out: dict[int, HeldOut]
+    shares: dict[str, Tensor]
 
 
 def train_metric(
-    data: TrainingData, folder: RunFolder, *, repeats: int, iterations: int, replicates: int, samples: int, seed: int
+    data: TrainingData, folder: RunFolder, *, repeats: int, replicates: int, pointwise: float, samples: int, seed: int
 ) -> TrainedMetric:
-    """Train on halves of the materials, choose where to stop, and train on all of them.
+    """Train on halves of the materials, and on all of them. Nothing is chosen with a look at what is held out.
 
     Args:
         data: What it learns from.
         folder: Of the run; trainings are kept in `trainings/`, and read where they are there.
         repeats: Of the two-fold cross-validation over materials.
-        iterations: Of L-BFGS, from which early stopping chooses.
         replicates: Of the bootstrap.
+        pointwise: The share that the pointwise term has of the mean distance of two materials.
         samples: Pairs, for the record.
         seed: Of the halves and of the bootstrap.
 
@@ -171,45 +170,59 @@ def train_metric(
         DataError: Too few materials, or what is kept of a training cannot be read.
     """
     training_set = data.training_set
-    count, features = training_set.features.shape
-    folder.log(f"{count} distances of {features} features, {len(training_set.names)} materials")
+    count, terms = training_set.terms.shape
+    folder.log(f"{count} distances of {terms} terms, {len(training_set.names)} materials")
     if len(training_set.names) < 4:
         raise DataError(f"train_metric: expected answers about 4 materials at least, found {len(training_set.names)}")
     halves = list(splits(training_set, repeats, seed))
-    progress, total = folder.progress("trainings"), len(halves) + 1
-    histories = [
-        _trained(folder, training_set, split, iterations, progress, k, total) for k, split in enumerate(halves, 1)
-    ]
-    plain = [k for k, split in enumerate(halves) if split.without < 0]
-    best = best_iteration([histories[k] for k in plain])
-    folder.log(f"held-out answers are likeliest after iteration {best + 1}")
     everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
-    weights = _trained(folder, training_set, everything, iterations, progress, total, total).weights[best]
-    learned = [(split, history.weights[best]) for split, history in zip(halves, histories, strict=True)]
-    materials = held_out(training_set, [learned[k] for k in plain], data.baselines, seed, replicates)
-    strange = [one for one in learned if one[0].without >= 0]
-    methods = held_out(training_set, strange, data.baselines, seed, replicates) if strange else {}
-    distances = training_set.distances(weights)
+    progress, found = folder.progress("trainings"), []
+    for k, split in enumerate([everything, *halves], 1):
+        found.append(_trained(folder, training_set, split, pointwise))
+        progress(k, len(halves) + 1)
+    best, *others = found
+    judged = [(split, training.constants) for split, training in zip(halves, others, strict=True)]
+    results = {
+        left_out: held_out(training_set, own, data.baselines, seed, replicates)
+        for left_out in (0, 1, 2)
+        if (own := [one for one in judged if len(one[0].without) == left_out])
+    }
+    drawn = min(replicates, CONSTANT_REPLICATES)
+    folder.log(f"intervals of the constants, from {drawn} trainings on materials drawn with replacement")
+    seen = (training_set.terms @ best.constants)[None]
     provenance = {
         "learned_from": data.facts,
         "materials": len(training_set.names),
         "pairs": samples,
         "seed": seed,
-        "iterations": best + 1,
+        "version": version("torchbrdf"),
         "date": time.strftime("%Y-%m-%d"),
-        "held_out": {name: [round(x, 4) for x in rows["learned"]["share"]] for name, rows in materials.items()},
+        "pointwise_share": pointwise,
+        "intervals": constant_intervals(training_set, pointwise, drawn, seed),
+        "slopes": {
+            name: float(f"{x:.4g}") for name, x in zip(("triplets", "others"), best.slopes.tolist(), strict=True)
+        },
+        "held_out": _shares_of(results[0]),
+        "methods_held_out": [_shares_of(results[k]) for k in (1, 2) if k in results],
         "seen": {
-            name: round(float(part.agreement_rate(part.concordant(distances[None]))), 4)
+            name: round(float(part.agreement_rate(part.concordant(seen))), 4)
             for name, part in training_set.statistics.items()
         },
     }
-    return TrainedMetric(
-        schema() | {"weights": normalized_weights(training_set, weights), "provenance": provenance},
-        materials,
-        {name: own for name, own in methods.items() if name != "majority"},
-        torch.stack([histories[k].curve for k in plain]),
-        best,
-    )
+    metric = schema() | {"constants": constants_by_name(best.constants), "provenance": provenance}
+    return TrainedMetric(metric, results, _term_shares(training_set, best.constants))
+
+
+def _shares_of(results: HeldOut) -> dict[str, list[float]]:
+    return {name: [round(x, 4) for x in rows["learned"]["share"]] for name, rows in results.items()}
+
+
+def _term_shares(training_set: TrainingSet, constants: Tensor) -> dict[str, Tensor]:
+    kinds = {"two materials": -1} | {name: k for k, name in enumerate(training_set.methods)}
+    parts = training_set.terms * constants
+    return {
+        name: parts[own].mean(0) for name, kind in kinds.items() if bool((own := training_set.method == kind).any())
+    }
 
 
 class _Settings(msgspec.Struct):
@@ -272,45 +285,34 @@ def _votes(given: Sequence[Answer], stimuli: Sequence[tuple[str, str]]) -> tuple
     )
 
 
-def read_training(path: Path, iterations: int, features: int) -> History:
+def read_training(path: Path, terms: int) -> Training:
     """Read what is kept of a training.
 
     Args:
         path: The file.
-        iterations: How many it has.
-        features: How many weights each has.
+        terms: How many constants it has.
 
     Raises:
         DataError: It was changed or damaged, or is of another training; says that it may be removed.
     """
-    layout = {"curve": ((iterations, 2), "f"), "weights": ((iterations, features), "f")}
+    layout = {"constants": ((terms,), "f"), "slopes": ((2,), "f"), "mismatch": ((2,), "f")}
     remedy = "remove it to train again"
     try:
         parts = read_npz(path, f"a finished training; {remedy}", layout)
     except DataError as error:
         raise DataError(str(error) if remedy in str(error) else f"{error}; {remedy}") from None
-    return History(torch.from_numpy(parts["curve"]), torch.from_numpy(parts["weights"]))
+    return Training(**{name: torch.from_numpy(parts[name]) for name in layout})
 
 
-def _trained(
-    folder: RunFolder,
-    training_set: TrainingSet,
-    split: Split,
-    iterations: int,
-    progress: Progress,
-    done: int,
-    total: int,
-) -> History:
+def _trained(folder: RunFolder, training_set: TrainingSet, split: Split, pointwise: float) -> Training:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
     if exists(path):
-        history = read_training(path, iterations, training_set.features.shape[1])
-    else:
-        history = train(training_set, split, iterations)
-        write_npz(path, {"curve": history.curve.numpy(), "weights": history.weights.numpy()}, compressed=True)
-        learned_from, rest = history.curve[-1].tolist()
-        folder.log(
-            f"{split.name}: negative log-likelihood {learned_from:.4f} of what was learned from, {rest:.4f} of the rest"
-        )
-    progress(done, total)
-    return history
+        return read_training(path, training_set.terms.shape[1])
+    training = train(training_set, split, pointwise)
+    write_npz(path, {name: value.numpy() for name, value in vars(training).items()})
+    learned_from, rest = training.mismatch.tolist()
+    folder.log(
+        f"{split.name}: negative log-likelihood {learned_from:.4f} of what was learned from, {rest:.4f} of the rest"
+    )
+    return training

@@ -91,9 +91,9 @@ class LearnedLoss(Loss):
     G is gloss, how far the lobe stands out from the body; C the colour beside the highlight. The constants that come
     with torchbrdf, by their names in `metric.json`:
 
-        w1  gloss      0.3074
-        w2  chroma     6.138
-        w3  pointwise  0.2361
+        w1  gloss      0.3105
+        w2  chroma     5.983
+        w3  pointwise  0.2363
 
     An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The last term holds
     fits together, whose errors would cancel within averages. D is a sum of absolute differences of encodings:

@@ -42,15 +42,16 @@ def _training_data() -> TrainingData:
 
 
 def _train(folder: Path) -> torch.Tensor:
-    """The weights that come of answers, in a folder that may have trainings; and that a metric can be made of them."""
+    """The constants that come of answers, in a folder that may have trainings; a metric can be made of them."""
     trained = train_metric(
-        _training_data(), RunFolder(folder), repeats=1, iterations=2, replicates=2, samples=PAIRS, seed=0
+        _training_data(), RunFolder(folder), repeats=1, replicates=2, pointwise=0.3, samples=PAIRS, seed=0
     )
-    weights = {"weights": json.loads(json.dumps(trained.metric["weights"], allow_nan=False))}
+    constants = trained.metric["constants"]
     pairs = uniform_pairs(40)
     values = torch.linspace(0.01, 1, 120, dtype=torch.float64).reshape(1, 40, 3)
-    check_finite(LearnedLoss("none", weights=weights)(values, values.flip(1), pairs), "distance")
-    return trained.curves.sum() + torch.tensor(weights["weights"]["pointwise"]).sum()
+    check_finite(LearnedLoss("none", weights={"constants": constants})(values, values.flip(1), pairs), "distance")
+    shares = [own["learned"]["share"][0] for results in trained.held_out.values() for own in results.values()]
+    return torch.tensor([*constants.values(), *shares]).nan_to_num(-1)  # nan: too few materials
 
 
 @cache

@@ -1,15 +1,18 @@
-"""Learn the weights of `LearnedLoss` from answers: likelihood, early stopping, cross-validation."""
+"""Learn the constants of `LearnedLoss` from answers: likelihood, cross-validation, the bootstrap."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from itertools import combinations
 
+import numpy as np
 import torch
+from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
 
 from torchbrdf.bootstrap import percentile_interval, resample_counts
 from torchbrdf.losses.base import Loss
-from torchbrdf.losses.former import THETA_H_BINS, pack_weights
+from torchbrdf.losses.metric_file import CONSTANTS
 from torchbrdf.perception.agreement.scores import EvaluatedBrdfs, distances
 from torchbrdf.perception.agreement.statistics import DistanceComparisons
 from torchbrdf.perception.learning.training_set import Judgments, TrainingSet
@@ -17,56 +20,67 @@ from torchbrdf.precision import undisturbed
 
 # What the mean likelihood of each part of the answers counts.
 PART_WEIGHT = {"triplets": 1.0, "pairs": 1.0, "across": 0.5, "choices": 1.0}
-# The slope of the probit of each part at the start, on a scale where distances are 1.
-PART_SLOPE = {"triplets": 3.0, "pairs": 6.0, "across": 6.0, "choices": 6.0}
 # How often people answer at random; keeps one answer from counting without limit.
 LAPSE = 0.02
-# The least share of pointwise terms in all weights: what people were asked about has hardly any spikes, and averages
-# alone would let a fit hide them in a bin.
-MIN_POINTWISE_SHARE = 0.1
-# What it costs roots of weights to leave the start, where all are equal.
-L2_PRIOR = 0.03
+# Slopes at the start, of triplets and of all else, for distances whose mean is 1; and the bounds of their logarithms.
+SLOPES = (3.0, 6.0)
+LOG_SLOPES = (-3.0, 6.0)
 
 
 @dataclass(frozen=True)
 class Split:
-    """What is learned from: materials, `(K,)` bool, and the place of a method that is left out, -1 for none."""
+    """What is learned from: how often each material counts, `(K,)`, and the places of methods that are left out."""
 
     name: str
     materials: Tensor
-    without: int = -1
+    without: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
-class History:
-    """The iterations of one training: mean negative log-likelihood seen and held out, `(I, 2)`; weights `(I, T)`."""
+class Training:
+    """What a training found, float64.
 
-    curve: Tensor
-    weights: Tensor
+    constants: `(T,)`, in units of the mean distance of two materials; slopes: `(2,)`, of triplets and of all else, for
+    distances in that unit; mismatch: mean negative log-likelihood of what was learned from, and of the rest, `(2,)`.
+    """
+
+    constants: Tensor
+    slopes: Tensor
+    mismatch: Tensor
 
 
 def select_judgments(training_set: TrainingSet, own: Judgments, split: Split, *, seen: bool) -> Judgments:
-    """Judgments that a split learns from, or those about nothing of what it learns from."""
-    inside = split.materials[own.materials]
-    if split.without < 0:
-        return own.select(inside.all(1) if seen else ~inside.any(1))
-    absent = (training_set.method[own.first] == split.without) | (training_set.method[own.second] == split.without)
-    return own.select(inside.all(1) & ~absent if seen else ~inside.any(1) & absent)
+    """Judgments that a split learns from, or those about nothing of what it learns from.
+
+    Each counts as often as its materials do; where methods are left out, those are judged that need both of two.
+    """
+    times = split.materials if seen else split.materials == 0
+    times = torch.cat([times.double(), times.new_ones(1, dtype=torch.float64)])[own.materials].prod(1)
+    left_out = _left_out(training_set, own.first, own.second, split.without)
+    chosen = (times > 0) & ((left_out == 0) if seen else (left_out >= len(split.without)))
+    found = own.select(chosen)
+    return Judgments(found.first, found.second, found.share, found.count * times[chosen], found.materials)
+
+
+def _left_out(training_set: TrainingSet, first: Tensor, second: Tensor, without: tuple[int, ...]) -> Tensor:
+    """How many of two distances are of methods that are left out."""
+    chosen = torch.tensor(without, dtype=torch.int64, device="cpu")
+    return torch.isin(training_set.method[torch.stack([first, second])], chosen).sum(0)
 
 
 def negative_log_likelihood(
-    training_set: TrainingSet, judgments: Mapping[str, Judgments], weights: Tensor, slopes: Tensor
+    training_set: TrainingSet, judgments: Mapping[str, Judgments], constants: Tensor, slopes: Tensor
 ) -> Tensor:
     """Mean negative log-likelihood of the votes, the parts weighted by `PART_WEIGHT`.
 
-    P(first) = Phi(slope (d_second - d_first)). slopes: logarithms, of triplets and of all else, `(2,)`. A part of which
-    nothing was asked does not count.
+    P(first) = Phi(slope (d_second - d_first)). slopes: of triplets and of all else, `(2,)`. A part of which nothing was
+    asked does not count.
     """
-    distance = training_set.distances(weights)
-    total = weights.new_zeros(())
+    distance = training_set.terms @ constants
+    total = 0 * distance.sum()  # of no answers at all: nothing to learn, and a slope of 0
     for part, own in judgments.items():
         if len(own):
-            slope = slopes[0 if part == "triplets" else 1].exp() * PART_SLOPE[part]
+            slope = slopes[0 if part == "triplets" else 1]
             argument = (slope * (distance[own.second] - distance[own.first])).clamp(-6, 6)
             chance = LAPSE + (1 - 2 * LAPSE) * torch.special.ndtr(argument)
             likely = own.share * chance.log() + (1 - own.share) * (1 - chance).log()
@@ -75,84 +89,73 @@ def negative_log_likelihood(
 
 
 @undisturbed()
-def train(training_set: TrainingSet, split: Split, iterations: int) -> History:
-    """Train weights on what a split learns from, by L-BFGS from equal weights; the rest judges.
+def train(training_set: TrainingSet, split: Split, pointwise: float) -> Training:
+    """Train constants on what a split learns from, by sequential quadratic programming; the rest is judged.
 
-    Weights are squares, so at least 0, and the pointwise ones have a share of `MIN_POINTWISE_SHARE` of their sum; terms
-    are taken in units of their means. There is nothing random in it; early stopping is the choice of an iteration.
+    What is sought is the share of each term in the mean distance of two materials, at least 0, which adds up to 1; that
+    of the pointwise term, the last, is given. There is nothing random in it.
     """
-    unit = feature_scales(training_set)
-    scaled = TrainingSet(**{**vars(training_set), "features": training_set.features / unit})
-    start = torch.full_like(unit, len(unit) ** -0.5)
-    roots = start.clone().requires_grad_()
-    share = torch.zeros_like(unit)
-    share[:THETA_H_BINS] = MIN_POINTWISE_SHARE / (1 - MIN_POINTWISE_SHARE) / THETA_H_BINS
-    slopes = torch.zeros(2, dtype=torch.float64, requires_grad=True, device="cpu")
+    scale = training_set.terms[training_set.usual].mean(0).clamp_min(1e-12)
+    free = len(scale) - 1
     parts = [
         {name: select_judgments(training_set, own, split, seen=seen) for name, own in training_set.judgments.items()}
         for seen in (True, False)
     ]
-    optimizer = torch.optim.LBFGS(
-        [roots, slopes], max_iter=1, max_eval=40, history_size=20, line_search_fn="strong_wolfe"
-    )
 
-    def weighing() -> Tensor:
-        return roots.square() + share * roots.square().sum()
+    def unpacked(x: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.cat([x[:free], x.new_full((1,), pointwise)]) / scale, x[free:].exp()
 
-    def closure() -> Tensor:
-        optimizer.zero_grad()
-        value = (
-            negative_log_likelihood(scaled, parts[0], weighing(), slopes) + L2_PRIOR * (roots - start).square().sum()
-        )
-        value.backward()
-        return value
+    def value(x: np.ndarray) -> tuple[float, np.ndarray]:
+        point = torch.from_numpy(x.copy()).requires_grad_()
+        mismatch = negative_log_likelihood(training_set, parts[0], *unpacked(point))
+        (gradient,) = torch.autograd.grad(mismatch, point)
+        return float(mismatch.detach()), gradient.numpy()
 
-    curve, weights = [], []
-    for _ in range(iterations):
-        optimizer.step(closure)
-        with torch.no_grad():
-            now = weighing()
-            curve.append(torch.stack([negative_log_likelihood(scaled, part, now, slopes) for part in parts]))
-            weights.append(now / unit)
-    return History(torch.stack(curve), torch.stack(weights))
-
-
-def feature_scales(training_set: TrainingSet) -> Tensor:
-    """Scale of the features `(T,)`: the mean of each over the distances of two materials, else over all."""
-    return training_set.features[_usual(training_set)].mean(0).clamp_min(1e-12)
-
-
-def _usual(training_set: TrainingSet) -> Tensor:
-    between = training_set.method < 0
-    return between if bool(between.any()) else ~between
+    best = minimize(
+        value,
+        np.array([(1 - pointwise) / free] * free + [math.log(slope) for slope in SLOPES]),
+        jac=True,
+        method="SLSQP",
+        bounds=[(0, 1)] * free + [LOG_SLOPES] * 2,
+        constraints=[LinearConstraint([[1.0] * free + [0.0] * 2], 1 - pointwise, 1 - pointwise)],
+        options={"maxiter": 300, "ftol": 1e-10},
+    ).x
+    constants, slopes = unpacked(torch.from_numpy(best))
+    constants = constants.clamp_min(0)  # rounding
+    mismatch = [negative_log_likelihood(training_set, part, constants, slopes) for part in parts]
+    return Training(constants, slopes, torch.stack(mismatch))
 
 
 def splits(training_set: TrainingSet, repeats: int, seed: int) -> Iterator[Split]:
     """Repeated two-fold cross-validation over materials.
 
-    In the first of them, one method after the other is left out as well.
+    In the first of them, every method and every two methods are left out as well.
     """
     generator = torch.Generator("cpu").manual_seed(seed)
-    count = len(training_set.names)
+    count, methods = len(training_set.names), range(len(training_set.methods))
+    groups = [group for size in (1, 2) if len(methods) > size for group in combinations(methods, size)]
     for repeat in range(repeats):
         chosen = torch.zeros(count, dtype=torch.bool, device="cpu")
         chosen[torch.randperm(count, generator=generator, device="cpu")[: count // 2]] = True
         for fold, own in enumerate((chosen, ~chosen)):
             yield Split(f"half-{repeat}-{fold}", own)
-            if not repeat and len(training_set.methods) > 1:
-                for k in range(len(training_set.methods)):
-                    yield Split(f"half-{repeat}-{fold}-without-{k}", own, k)
+            for group in groups if not repeat else ():
+                yield Split(f"half-{repeat}-{fold}-without-{'-'.join(map(str, group))}", own, group)
 
 
-def best_iteration(histories: list[History]) -> int:
-    """Early stopping: the iteration at which held-out answers are likeliest, on average over the trainings."""
-    return int(torch.stack([history.curve[:, 1] for history in histories]).mean(0).argmin())
+def constants_by_name(constants: Tensor) -> dict[str, float]:
+    """Constants `(T,)` as `metric.json` has them, to four digits."""
+    return {name: float(f"{value:.4g}") for name, value in zip(CONSTANTS, constants.tolist(), strict=True)}
 
 
-def normalized_weights(training_set: TrainingSet, weights: Tensor) -> dict[str, Any]:
-    """Finished weights by name, as `LearnedLoss` reads them, in units of the mean distance of two materials."""
-    mean = training_set.distances(weights)[_usual(training_set)].mean()
-    return pack_weights(weights / mean.square())
+def constant_intervals(
+    training_set: TrainingSet, pointwise: float, replicates: int, seed: int
+) -> dict[str, tuple[float, float]]:
+    """95 % intervals of the constants: trainings on materials drawn with replacement."""
+    drawn = resample_counts(len(training_set.names), replicates, seed)
+    found = [train(training_set, Split("drawn", times), pointwise).constants for times in drawn]
+    low, high = map(constants_by_name, percentile_interval(torch.stack(found)).unbind(1))
+    return {name: (low[name], high[name]) for name in CONSTANTS}
 
 
 def baseline_distances(
@@ -162,7 +165,7 @@ def baseline_distances(
     between = training_set.method < 0
     found = {}
     for name, loss in losses.items():
-        distance = torch.empty(len(training_set.features), dtype=torch.float64, device="cpu")
+        distance = torch.empty(len(training_set.terms), dtype=torch.float64, device="cpu")
         for own, values in ((between, seen.materials), (~between, seen.approximations)):
             place = training_set.first[own], training_set.second[own]
             distance[own] = distances(loss, values, seen.materials, seen.pairs, *place)
@@ -182,15 +185,16 @@ def held_out(
     seed: int = 0,
     replicates: int = 1000,
 ) -> HeldOut:
-    """Held-out agreement: how often distances are ordered right by weights learned without their materials.
+    """Held-out agreement: how often distances are ordered right by constants learned without their materials.
 
-    judged: splits, and the weights `(T,)` that were learned in them; others: distances to compare with, `(E,)` each.
+    judged: splits, and the constants `(T,)` that were learned in them; others: distances to compare with, `(E,)` each.
     `{statistic: {"learned" or other: {"share": [value, low, high], "gain": [...]}}}`: 95 % intervals from materials
     resampled with replacement, the gain on the same comparisons and materials. A comparison is judged in every split in
-    which nothing of it was seen (and, where a method is left out, is of that method), and counts as their mean.
+    which nothing of it was seen (where one method is left out, it is of that one; where two are, of those alone), and
+    counts as their mean.
     """
     draws = resample_counts(len(training_set.names), replicates, seed)
-    learned = torch.stack([training_set.distances(weights) for _, weights in judged])
+    learned = torch.stack([training_set.terms @ constants for _, constants in judged])
     found: HeldOut = {}
     for statistic, own in training_set.statistics.items():
         unseen = torch.stack([_unseen(training_set, own, split) for split, _ in judged]).double()
@@ -219,8 +223,5 @@ def held_out(
 
 
 def _unseen(training_set: TrainingSet, own: DistanceComparisons, split: Split) -> Tensor:
-    about = (~split.materials)[own.materials] | (own.materials < 0)
-    if split.without < 0:
-        return about.all(1)
-    methods = training_set.method[torch.stack([own.nearer, own.farther], 1)]
-    return about.all(1) & (methods == split.without).any(1)
+    about = ((split.materials == 0)[own.materials] | (own.materials < 0)).all(1)
+    return about & (_left_out(training_set, own.nearer, own.farther, split.without) >= len(split.without))

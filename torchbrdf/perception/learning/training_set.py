@@ -1,4 +1,4 @@
-"""What a metric can learn from: the features of distances, and how often people found which of two smaller."""
+"""What a metric can learn from: the terms of distances, and how often people found which of two smaller."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, fields
@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.losses.former import encode, features, soft_bins
+from torchbrdf.losses import LearnedLoss
 from torchbrdf.perception.agreement.scores import BenchmarkData, EvaluatedBrdfs
 from torchbrdf.perception.agreement.statistics import DistanceComparisons, across_materials, majorities, same_material
 from torchbrdf.perception.datasets.opinions import Opinions
@@ -24,7 +24,7 @@ class Judgments:
     """Judgments of C pairs of distances, each a place among E: which share of votes found `first` smaller.
 
     first, second: `(C,)` long; share, count (how much each counts): `(C,)` float64; materials: the places of those it
-    is about, `(C, k)` long.
+    is about, each once, `(C, k)` long, -1 where it is about fewer.
     """
 
     first: Tensor
@@ -43,9 +43,9 @@ class Judgments:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Training set: E distances, by their features, and what people judged of them.
+    """Training set: E distances, by their terms, and what people judged of them.
 
-    names: of K materials. features: `(E, T)`, what the weights of `LearnedLoss` multiply. first, second: `(E,)`,
+    names: of K materials. terms: `(E, T)` float64, what the constants of `LearnedLoss` multiply. first, second: `(E,)`,
     places in `EvaluatedBrdfs`: of the prediction, among its materials, or its approximations where `method` is at least
     0, and of the target. method: `(E,)`, places in `methods`, -1 for a distance of two materials. judgments: answers by
     part, to learn from; statistics: comparisons by name, to count how many are ordered right.
@@ -53,16 +53,18 @@ class TrainingSet:
 
     names: list[str]
     methods: list[str]
-    features: Tensor
+    terms: Tensor
     first: Tensor
     second: Tensor
     method: Tensor
     judgments: dict[str, Judgments]
     statistics: dict[str, DistanceComparisons]
 
-    def distances(self, weights: Tensor) -> Tensor:
-        """Distances under some weights: sqrt(features . weights), `(E,)`; 1e-12 keeps the slope finite."""
-        return (self.features @ weights + 1e-12).sqrt()
+    @property
+    def usual(self) -> Tensor:
+        """Which distances make the unit, `(E,)`: those of two materials, or all if there are none."""
+        between = self.method < 0
+        return between if bool(between.any()) else ~between
 
 
 def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Collection[str] = ()) -> TrainingSet:
@@ -90,9 +92,7 @@ def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Col
     return TrainingSet(
         names,
         methods,
-        torch.cat(
-            [features_of(brdfs, brdfs.materials, one, other), features_of(brdfs, brdfs.approximations, rows, target)]
-        ),
+        torch.cat([terms_of(brdfs, brdfs.materials, one, other), terms_of(brdfs, brdfs.approximations, rows, target)]),
         torch.cat([one, rows]),
         torch.cat([other, target]),
         torch.tensor([-1] * between + own, dtype=torch.long, device="cpu"),
@@ -124,7 +124,7 @@ def training_set_from_choices(
     return TrainingSet(
         names,
         methods,
-        features_of(brdfs, brdfs.approximations, rows, brdfs.target),
+        terms_of(brdfs, brdfs.approximations, rows, brdfs.target),
         rows,
         brdfs.target,
         torch.tensor([methods.index(name) for name in stimuli], dtype=torch.long, device="cpu"),
@@ -133,15 +133,13 @@ def training_set_from_choices(
     )
 
 
-def features_of(brdfs: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor) -> Tensor:
-    """The features of the distances of values `(R, n, 3)`, at these places, from materials, `(E, T)`, float64."""
+def terms_of(brdfs: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """The terms of the distances of values `(R, n, 3)`, at these places, from materials, `(E, T)`, float64."""
     if brdfs.pairs is None:
         raise UsageError("a training set: expected values on pairs")
-    one, other = encode(values, brdfs.pairs), encode(brdfs.materials, brdfs.pairs)
-    bins = soft_bins(brdfs.pairs).to(one)
-    parts = zip(first.split(_HELD), second.split(_HELD), strict=True)
-    found = [features(one[i] - other[j], bins).double() for i, j in parts]
-    return torch.cat(found)
+    loss, parts = LearnedLoss("none"), zip(first.split(_HELD), second.split(_HELD), strict=True)
+    with torch.no_grad():
+        return torch.cat([loss.terms(values[i], brdfs.materials[j], brdfs.pairs) for i, j in parts])
 
 
 def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
@@ -169,11 +167,11 @@ def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
                 own.nearer + start, own.farther + start, place[own.materials], own.weight, own.group
             )
             statistics.setdefault(name, []).append(there)
-        start += len(training_set.features)
+        start += len(training_set.terms)
     return TrainingSet(
         names,
         methods,
-        torch.cat([training_set.features for training_set in training_sets]),
+        torch.cat([training_set.terms for training_set in training_sets]),
         torch.cat([training_set.first for training_set in training_sets]),
         torch.cat([training_set.second for training_set in training_sets]),
         torch.cat(method),
@@ -199,7 +197,7 @@ def _opined(opinions: Opinions, own: DistanceComparisons, target: Tensor, shift:
     error = opinions.standard_error
     standard_error = (error[own.nearer].square() + error[own.farther].square() + UNKNOWN**2).sqrt()
     share = torch.special.ndtr((opinions.distance[own.farther] - opinions.distance[own.nearer]) / standard_error)
-    materials = torch.stack([target[own.nearer], target[own.farther]], 1)
+    materials = _placed(own, target, shift).materials
     return Judgments(own.nearer + shift, own.farther + shift, share, torch.ones_like(share), materials)
 
 
