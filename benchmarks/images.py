@@ -12,12 +12,12 @@ from common import seconds
 from torchbrdf.fitting import fit
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import make_model
-from torchbrdf.losses import LOSSES, CosineRMSLoss
+from torchbrdf.losses import LOSSES, CombinedLoss, CosineRMSLoss, LearnedLoss
 from torchbrdf.measured import load_all
-from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob, render, sphere
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob, render, small_scene, sphere
 from torchbrdf.render.raster.raster import rasterize
 
-ANALYTIC = ("rms", "cosine_rms", "cube_root", "compressed", "log")
+ANALYTIC = ("rms", "cosine_rms", "cube_root", "compressed", "log", "learned")
 
 
 def step(loss, problem):
@@ -70,12 +70,15 @@ def fits(materials, scene):
         references = render(materials, place)
         tone = ToneMap.from_images(references, place.mask.expand(references.shape[:-1]))
         judges[where] = tone, tone(references)
-    runs = [(name, LOSSES[name](), diffuse) for name in ANALYTIC for diffuse in ("45:0", "fit")]
-    runs += [(name, RenderedLoss(scene, name), "fit") for name in ("log_hdr", "delta_e76", "delta_e_itp")]
-    for name, loss, diffuse in runs:
+    runs = [(name, LOSSES[name](), diffuse, "global") for name in ANALYTIC for diffuse in ("45:0", "fit")]
+    runs += [(name, RenderedLoss(scene, name), "fit", "global") for name in ("log_hdr", "delta_e76", "delta_e_itp")]
+    runs += [("combined", CombinedLoss(LearnedLoss(), RenderedLoss(small_scene())), "fit", "global")]
+    runs += [(name, RenderedLoss(scene), "fit", name) for name in ("image_driven", "image_driven_polished")]
+    for name, loss, diffuse, strategy in runs:
         began = time.perf_counter()
-        result = fit(make_model("ward", 2), materials, loss, diffuse=diffuse)
-        line = f"{loss.registered_name:18s} diffuse {diffuse:5s} {time.perf_counter() - began:6.1f} s   mean Delta E"
+        result = fit(make_model("ward", 2), materials, loss, strategy=strategy, diffuse=diffuse)
+        label = strategy if strategy != "global" else loss.registered_name
+        line = f"{label:26s} diffuse {diffuse:5s} {time.perf_counter() - began:6.1f} s   mean Delta E"
         for where, place in places.items():
             tone, shown = judges[where]
             found = measure(tone(render(result.model, place)), shown, place.mask)

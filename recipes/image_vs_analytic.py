@@ -1,4 +1,4 @@
-"""Analytic metrics beside rendered-image loss: what fits under each look like, in scenes seen and unseen."""
+"""Analytic metrics beside losses of pictures: what fits under each look like, in scenes seen and unseen."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,10 +6,11 @@ from pathlib import Path
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import FitGridRecipe, Pictures, load_materials
 from torchbrdf.experiment.settings import PICTURE_SIDES
+from torchbrdf.fitting import ImageDriven
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import LOSSES, Loss, make_loss
+from torchbrdf.losses import LOSSES, CombinedLoss, Loss, make_loss
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh
+from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh, small_scene
 from torchbrdf.report import write_images_report
 
 TRAINING, UNSEEN = "training", "unseen"
@@ -18,13 +19,19 @@ TRAINING, UNSEEN = "training", "unseen"
 @RECIPES.register("image_vs_analytic")
 @dataclass(frozen=True)
 class ImageVsAnalytic(FitGridRecipe):
-    """Fit every material and model under every loss, analytic and rendered, and compare the pictures."""
+    """Fit every material and model under every loss, analytic, rendered and both, and compare the pictures."""
 
     name = "image_vs_analytic"
 
-    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log")
+    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log", "learned")
     rendered: tuple[str, ...] = field(
         default=("log_hdr", "delta_e76"), metadata={"help": "image differences that are losses, too"}
+    )
+    combined: tuple[str, ...] = field(
+        default=("learned",), metadata={"help": "metrics that are losses with a small rendered difference beside, too"}
+    )
+    chosen_by: tuple[str, ...] = field(
+        default=("delta_e76",), metadata={"help": "image differences that choose among fits under several metrics"}
     )
     differences: tuple[str, ...] = field(
         default=("delta_e76", "delta_e2000", "flip", "ssim", "psnr", "log_hdr"),
@@ -35,6 +42,9 @@ class ImageVsAnalytic(FitGridRecipe):
     shape: str = field(default="blob", metadata={"help": "training scene: blob, sphere, or a mesh file"})
     train_size: int = field(
         default=128, metadata={"help": "pixels of a side that rendered losses see", "low": 16, "high": 1024}
+    )
+    combined_size: int = field(
+        default=24, metadata={"help": "pixels of a side that combined losses see", "low": 8, "high": 1024}
     )
     lights: int = field(default=1024, metadata={"help": "lights that rendered losses see", "low": 1, "high": 16384})
     unseen_environment: str = field(default="studio", metadata={"help": "the scene that no fit was made for"})
@@ -47,12 +57,14 @@ class ImageVsAnalytic(FitGridRecipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.expect_names("rendered", "differences")
+        self.expect_names("rendered", "combined", "chosen_by", "differences")
+        for name in self.combined:
+            LOSSES[name]
         if "delta_e76" not in map(DIFFERENCES.canonical, self.differences):
             raise UsageError(f"{self.name}: differences: expected delta_e76 among them, by which the report sorts")
-        for key in (*self.rendered, *self.differences):
+        for key in (*self.rendered, *self.chosen_by, *self.differences):
             least = DIFFERENCES[key].least_side
-            sizes = {"train_size": self.train_size} if key in self.rendered else {}
+            sizes = {"train_size": self.train_size} if key in (*self.rendered, *self.chosen_by) else {}
             for name, size in {**sizes, "size": self.size}.items():
                 if size < least:
                     raise UsageError(f"{self.name}: {name}: {key} needs {least} pixels of a side, found {size}")
@@ -60,9 +72,10 @@ class ImageVsAnalytic(FitGridRecipe):
     def steps(self, folder: RunFolder) -> Path:
         """References and tone maps, fits, pictures, report."""
         size, train, lights = self.size, self.train_size, self.lights
-        rendered = self.rendered
+        rendered, chooser = self.rendered, ImageDriven()
         if self.quick:
             size, train, lights, rendered = min(size, 48), min(train, 32), 128, rendered[-1:]
+            chooser = ImageDriven(metrics=("cube_root", "compressed"))
         groups, bad = load_materials(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)
         turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
@@ -77,6 +90,14 @@ class ImageVsAnalytic(FitGridRecipe):
         for name in rendered:
             loss = RenderedLoss(small, name, tone=pictures.tones[TRAINING])
             losses[loss.registered_name] = loss
+        little = small_scene(mesh, light, size=self.combined_size, light_samples=lights, cache=folder.path / "cache")
+        for name in self.combined:
+            both = CombinedLoss(make_loss(name), RenderedLoss(little, tone=pictures.tones[TRAINING]))
+            losses[both.registered_name] = both
+        for name in map(DIFFERENCES.canonical, self.chosen_by):
+            same = losses.get(f"rendered_{name}")
+            losses[f"image_driven_{name}"] = same or RenderedLoss(small, name, tone=pictures.tones[TRAINING])
+            grid.own_strategies[f"image_driven_{name}"] = chooser
         grid.fit()
         pictures.draw_fits()
         pictures.compare()
@@ -84,5 +105,9 @@ class ImageVsAnalytic(FitGridRecipe):
             TRAINING: f"{self.shape}, {self.environment}",
             UNSEEN: f"{self.unseen_shape}, {self.unseen_environment}, turned by {self.unseen_turn:g}° and from above",
         }
-        used = f"{train} x {train} pixels, {small.nodes} directions around the mirror's and {lights} lights a pixel"
+        used = (
+            f"Rendered-image losses and the image-driven choice saw the training scene, {train} x {train} pixels with "
+            f"{small.nodes} directions around the mirror's and {lights} lights a pixel; combined losses saw it with "
+            f"{little.size} x {little.size} pixels and {little.nodes} directions."
+        )
         return write_images_report(pictures, said, used, bad)

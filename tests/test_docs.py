@@ -144,6 +144,7 @@ def listed(registry: Registry[Any], name: str) -> None:
 @pytest.mark.parametrize("path", PAGES, ids=page)
 def test_command_lines_are_understood(path: Path) -> None:
     """Options are known, and the names in them are registered."""
+    from torchbrdf.cli.fit import OF_PICTURES
     from torchbrdf.images import DIFFERENCES
     from torchbrdf.lobes import LOBES
     from torchbrdf.losses import LOSSES
@@ -155,7 +156,7 @@ def test_command_lines_are_understood(path: Path) -> None:
             options = build_parser().parse_args(words)
             if words[0] == "fit":
                 listed(LOBES, options.model)
-                if options.loss == "rendered":
+                if options.loss in OF_PICTURES:
                     listed(DIFFERENCES, options.difference or "delta_e76")
                 else:
                     listed(LOSSES, options.loss)

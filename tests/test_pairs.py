@@ -306,3 +306,18 @@ def test_what_is_kept_belongs_to_who_asked() -> None:
     assert {name for name, _ in pairs.items()} <= set(QUANTITIES)
     with pytest.raises(UsageError, match=r"^Pairs.cached: expected an owner at the top of a module, found .*<lambda>$"):
         pairs.cached(lambda: None, lambda: torch.empty(0))
+
+
+def test_joined_pairs_are_one_after_the_other() -> None:
+    """Shared ones beside those of each material, with all that isotropic lobes ask for."""
+    shared = Pairs.from_half_diff(*torch.rand(3, 1, 4, dtype=torch.float64))
+    own = Pairs.from_directions(hemisphere(2, 3, seed=1), hemisphere(2, 3, seed=2))
+    both = Pairs.joined([shared, own])
+    assert both.shape == (2, 7)
+    for name in ("cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "above_horizon"):
+        value = getattr(both, name)
+        assert torch.equal(value[:, :4], getattr(shared, name).expand(2, 4))
+        assert torch.equal(value[:, 4:], getattr(own, name))
+    assert Pairs.joined([shared.select(0), shared]).shape == (1, 8)
+    with pytest.raises(ShapeError, match="is needed, but only cos_i were given"):
+        Pairs.joined([shared, Pairs.from_cosines(torch.ones(1, 2, dtype=torch.float64))])

@@ -1,6 +1,6 @@
 """Pairs of incident and outgoing directions, with the cosines that BRDFs need, computed once."""
 
-from collections.abc import Callable, ItemsView
+from collections.abc import Callable, ItemsView, Sequence
 from types import ModuleType
 
 import torch
@@ -387,6 +387,33 @@ class Pairs:
             return value if samples is None else take(value, samples, sample_dim)
 
         return self._map(pick)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Pairs"]) -> "Pairs":
+        """One after the other, by what isotropic BRDFs depend on: cosines and angles, without the directions.
+
+        Args:
+            parts: pairs `(n,)` or `(m, n)`, with m the same for all, or 1.
+
+        Returns:
+            Pairs `(m, N)`, or `(N,)` where all parts are `(n,)`.
+
+        Raises:
+            ShapeError: a part does not know enough.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> one, other = (Pairs.from_half_diff(*torch.full((3, n), 0.1)) for n in (2, 3))
+            >>> len(Pairs.joined([one, other]))
+            5
+        """
+        lead = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+
+        def whole(name: str) -> Tensor:
+            return torch.cat([part._get(name).expand(*lead, len(part)) for part in parts], -1)
+
+        return cls(**{name: whole(name) for name in QUANTITIES if name not in ("wi", "wo")})
 
     def widened(self) -> "Pairs":
         """The same pairs in float32, if they are in half precision; themselves, if they are not.

@@ -75,6 +75,27 @@ def test_pictures_are_a_loss(paint, tmp_path, capsys, monkeypatch):
     assert "give another folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("options", "loss", "said"),
+    [
+        (["--loss", "combined"], "learned+rendered_delta_e76", ""),
+        (["--loss", "rendered", "--strategy", "image_driven"], "rendered_delta_e76", "(under "),
+    ],
+)
+def test_fit_sees_pictures_in_other_ways(paint, options, loss, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("TORCHBRDF_CACHE", str(tmp_path / "cache"))
+    arguments = ["fit", str(paint), "--model", "ward", "--lobes", "1", "--samples", "500", "--max-theta", "30"]
+    arguments += ["--size", "12", "--lights", "16", "--out", str(tmp_path / "out"), *options]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "pictures of 12 x 12 pixels" in printed and said in printed
+    (record,) = json.loads((tmp_path / "out" / "fits.json").read_text())
+    assert record["loss"] == loss and record["scene"].startswith("12 x 12 pixels")
+    assert ("chosen" in record) == bool(said)
+    assert main(arguments) == 0  # taken up
+    assert json.loads((tmp_path / "out" / "fits.json").read_text()) == [record]
+
+
 def test_info_says_what_a_file_holds(paint, capsys):
     assert main(["info", str(paint)]) == 0
     assert "distinctness of image" in capsys.readouterr().out
@@ -98,7 +119,7 @@ def test_run_lists_recipes_and_settings(capsys):
         (
             ["fit", "PAINT", "--difference", "flip"],
             2,
-            "--difference: expected only with --loss rendered, found --loss le",
+            "--difference: expected only with --loss rendered or combined, found --loss le",
         ),
         (["fit", "PAINT", "--size", "64", "--loss", "rms"], 2, "--size: expected only with --loss rendered"),
         (["fit", "PAINT", "--loss", "rendered", "--difference", "nope"], 2, "unknown difference 'nope'"),

@@ -10,10 +10,10 @@ from helpers.directions import hemisphere
 from helpers.picture_pairs import NAMES
 from torchbrdf import Pairs, fit, load
 from torchbrdf.bootstrap import percentile_interval, resample_counts
-from torchbrdf.fitting import STRATEGIES, SlowFitWarning, score
+from torchbrdf.fitting import STRATEGIES, ImageDriven, SlowFitWarning, score
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import LOBES, make_model, parameters
-from torchbrdf.losses import LOSSES, FunctionLoss
+from torchbrdf.losses import LOSSES, CombinedLoss, FunctionLoss
 from torchbrdf.measured import standins
 from torchbrdf.perception import JodScores, evaluate_brdfs, gloss_term, score_jod, uniform_pairs
 from torchbrdf.perception import score as score_metrics
@@ -86,6 +86,10 @@ def scenes() -> dict[str, Tensor]:
         problem = loss.problem(measured)
         found[f"rendered {name}"] = loss(1.1 * problem.target, problem.target, problem.pairs)
     found["rendered fit"] = fit(model, measured, RenderedLoss(scene, "log_hdr"), max_iterations=5).error
+    both = CombinedLoss(LOSSES["learned"](), RenderedLoss(scene))
+    found["combined fit"] = fit(model, measured, both, samples=500, max_iterations=5).error
+    chosen = ImageDriven(("compressed", "cube_root"), polish=1)
+    found["image-driven fit"] = fit(model, measured, both, strategy=chosen, samples=500, max_iterations=5).error
     return found
 
 

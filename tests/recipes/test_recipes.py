@@ -312,6 +312,31 @@ def test_a_study_takes_up_what_is_finished(study):
     assert {path.stem for path in before if again[path] != before[path]} == {"alum-bronze-turned", "aluminium-turned"}
 
 
+def test_what_sees_pictures_stands_beside_what_does_not(tmp_path):
+    """Rendered, combined and image-driven fits: their records, their rows in the report, and that they are kept."""
+    names = ("cube_root", "compressed", "rendered_delta_e76", "compressed+rendered_delta_e76", "image_driven_delta_e76")
+    settings = SMALL | {"losses": ",".join(names[:2]), "rendered": "delta_e76", "combined": "compressed"}
+    recipe = configure(RECIPES["image_vs_analytic"], settings | {"train_size": "16", "differences": "delta_e76"})
+    page = run(recipe, tmp_path / "out").read_text()
+    records = json.loads((tmp_path / "out" / "fits.json").read_text())
+    assert Counter(record["loss"] for record in records) == dict.fromkeys(names, 2)
+    for record in records:
+        chosen = record["loss"] == "image_driven_delta_e76"
+        assert record["strategy"].startswith("ImageDriven" if chosen else "global") and ("chosen" in record) == chosen
+        assert bool(record.get("scene")) == (record["loss"] not in names[:2])
+        assert set(record["errors"]) == set(names) and set(record["pictures"]) == {"training", "unseen"}
+        if chosen:
+            same = [one for one in records if one["loss"] == record["chosen"] and one["material"] == record["material"]]
+            assert record["parameters"] == same[0]["parameters"]
+            others = [one["errors"]["rendered_delta_e76"] for one in records if one["material"] == record["material"]]
+            assert sorted(others)[2] >= record["error"] * (1 - 1e-6)  # the rendered and the combined fit may be nearer
+    for words in ("compressed + rendered ΔE 76", "What image-driven ΔE 76 chose", "Cost"):
+        assert words in page
+    run(recipe, tmp_path / "out")
+    again = json.loads((tmp_path / "out" / "fits.json").read_text())
+    assert [record["seconds"] for record in again] == [record["seconds"] for record in records]  # not made again
+
+
 def test_a_bad_file_is_left_out_with_a_word(tmp_path, caplog):
     folder = tmp_path / "materials"
     folder.mkdir()

@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from torchbrdf.losses import Loss
 
 FITS, TABLE = "fits.json", "fits.csv"
-RENDERED = "rendered"
-# The options that only a rendered loss has, and what they are if they are not given.
+RENDERED, COMBINED = "rendered", "combined"
+# The options that only losses of pictures have, and what they are if they are not given.
 OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob", "size": 128, "lights": 1024}
+OF_PICTURES = {RENDERED: OF_RENDERED, COMBINED: OF_RENDERED | {"size": 24}}
 
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
@@ -23,8 +24,11 @@ Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or fol
   torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
   torchbrdf fit nickel.binary --model ward --loss rendered --difference delta_e76
+  torchbrdf fit nickel.binary --model ward --loss rendered --strategy image_driven
+  torchbrdf fit nickel.binary --model ward --loss combined
 
-The last compares pictures. A folder is fitted in batches, and each is written as it is done: run the command again,
+The last three compare pictures: in every step; of fits under several metrics, of which the nearest is kept; and small
+ones beside the learned metric. A folder is fitted in batches, and each is written as it is done: run the command again,
 and it goes on from there.
 """
 
@@ -42,19 +46,24 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--loss",
         default="learned",
-        help="learned (default), rms, cosine_rms, cube_root, compressed, log, ..., rendered",
+        help="learned (default), rms, cosine_rms, cube_root, compressed, log, ..., rendered, combined",
     )
-    of = "of a rendered loss:"
+    of = "of losses of pictures:"
     parser.add_argument("--difference", help=f"{of} delta_e76 (default), log_hdr, psnr, ssim, flip, ...")
     parser.add_argument("--environment", help=f"{of} grove (default), studio, or a file")
     parser.add_argument("--shape", help=f"{of} blob (default), sphere, or a mesh file")
-    parser.add_argument("--size", type=whole(8, 1024), help=f"{of} pixels of a side, 8 to 1024 (default 128)")
+    parser.add_argument("--size", type=whole(8, 1024), help=f"{of} pixels of a side, 8 to 1024 (128; combined 24)")
     parser.add_argument("--lights", type=whole(1, 16384), help=f"{of} lights in the scene, 1 to 16384 (default 1024)")
-    parser.add_argument("--strategy", default="global", help="global (default): the best fit; staged: the paper's way")
+    parser.add_argument(
+        "--strategy",
+        default="global",
+        help="global (default): the best fit; staged: the paper's way; image_driven: of fits under several metrics the "
+        "nearest",
+    )
     parser.add_argument(
         "--diffuse",
         help="the diffuse albedo: 45:0, measured and held; fit, with the rest; by default what looks best under the "
-        "loss, fit for learned and rendered, 45:0 for others",
+        "loss, fit for learned and pictures, 45:0 for others",
     )
     parser.add_argument(
         "--max-theta", type=number(1, 90), default=80.0, help="largest angle from the normal, 1 to 90 (default 80)"
@@ -146,34 +155,38 @@ def _check_loss(options: Options) -> None:
     from torchbrdf.images import DIFFERENCES
     from torchbrdf.losses import LOSSES
 
-    if options.loss != RENDERED and options.loss not in LOSSES:
-        raise unknown("loss", options.loss, [*LOSSES, RENDERED])
-    for key, default in OF_RENDERED.items():
+    if options.loss not in OF_PICTURES and options.loss not in LOSSES:
+        raise unknown("loss", options.loss, [*LOSSES, *OF_PICTURES])
+    for key, default in OF_PICTURES.get(options.loss, OF_RENDERED).items():
         if getattr(options, key) is None:
             setattr(options, key, default)
-        elif options.loss != RENDERED:
-            raise UsageError(f"--{key}: expected only with --loss {RENDERED}, found --loss {options.loss}")
+        elif options.loss not in OF_PICTURES:
+            expected = f"expected only with --loss {' or '.join(OF_PICTURES)}"
+            raise UsageError(f"--{key}: {expected}, found --loss {options.loss}")
     DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed
 
 
 def _loss(options: Options) -> "Loss":
     """A loss by name, or pictures of the scene that the options describe."""
-    from torchbrdf.losses import make_loss
+    from torchbrdf.losses import CombinedLoss, LearnedLoss, make_loss
 
-    if options.loss != RENDERED:
+    if options.loss not in OF_PICTURES:
         return make_loss(options.loss)
     from torchbrdf.images import DIFFERENCES
-    from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh
+    from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh, small_scene
 
     difference = DIFFERENCES[options.difference]()
     light = Environment.find(options.environment)
     mesh = find_mesh(options.shape)
-    scene = Scene(mesh, None, light, size=options.size, light_samples=options.lights, cache=cache_folder())
-    return RenderedLoss(scene, difference)
+    settings = {"size": options.size, "light_samples": options.lights, "cache": cache_folder()}
+    if options.loss == COMBINED:
+        return CombinedLoss(LearnedLoss(), RenderedLoss(small_scene(mesh, light, **settings), difference))
+    return RenderedLoss(Scene(mesh, None, light, **settings), difference)
 
 
 def _notes(record: "FitRecord") -> list[str]:
     """What else there is to say of a fit."""
     notes = [record.reason] if record.reason else []
+    notes += [f"under {record.chosen}"] if record.chosen else []
     notes += [f"{record.ties} other minima within 1 %"] if record.ties else []
     return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])

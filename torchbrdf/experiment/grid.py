@@ -8,6 +8,7 @@ from pathlib import Path
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.experiment.items import same_file
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
+from torchbrdf.fitting.strategy import Strategy, strategy_name
 from torchbrdf.lobes import LOBES, FitRecord, make_model, read_fits, write_fits
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image
@@ -34,6 +35,7 @@ class FitGrid:
         max_theta: As in `torchbrdf.fit`, as the next two; in degrees.
         samples: Pairs that the solver sees.
         seed: Of the subset.
+        own_strategies: By the names of losses whose fits are made by another strategy than the others'.
         records: One a fit.
 
     Raises:
@@ -64,6 +66,7 @@ class FitGrid:
     max_theta: float = 80.0
     samples: int | None = 20_000
     seed: int = 0
+    own_strategies: dict[str, str | Strategy] = field(default_factory=dict)
     records: list[FitRecord] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -139,15 +142,20 @@ class FitGrid:
         Raises:
             DataError: There is none: `fit` was not called, or the grid is about something else.
         """
-        wanted = (material, model, loss, lobes or self.lobes[0], strategy or self.strategy)
+        strategy = self._strategy_of(loss, strategy or self.strategy)
+        wanted = (material, model, loss, lobes or self.lobes[0], strategy)
         for record in self.records:
             if _key(record) == wanted:
                 return record
         raise DataError(f"{self.folder.path}: expected a fit {', '.join(map(str, wanted))}, found none")
 
+    def _strategy_of(self, loss: str, strategy: str) -> str:
+        """The name of the strategy of a loss, in the place of one for all."""
+        return strategy_name(self.own_strategies.get(loss, strategy))
+
     def picture(self, record: FitRecord) -> str:
         """The name of the picture of a fit, without suffix."""
-        other = [record.strategy] if record.strategy != self.strategy else []
+        other = [record.strategy] if record.strategy != self._strategy_of(record.loss, self.strategy) else []
         return picture_name(record.material, record.model, record.loss, *other)
 
     def fit(self) -> None:
@@ -189,19 +197,20 @@ class FitGrid:
 
     def _has(self, strategy: str, model: str, lobes: int, group: Measured) -> bool:
         there = {_key(record) for record in self.records}
-        return all((name, model, loss, lobes, strategy) in there for name in group.names for loss in self.losses)
+        wanted = [(loss, self._strategy_of(loss, strategy)) for loss in self.losses]
+        return all((name, model, loss, lobes, by) in there for name in group.names for loss, by in wanted)
 
     def _fit(
         self, strategy: str, model: str, lobes: int, group: Measured, progress: Progress, total: int
     ) -> list[FitRecord]:
         """Fits of one model to some materials under every loss, with their errors under all of them."""
-        losses = list(self.losses.values())
+        names, losses = list(self.losses), list(self.losses.values())
         results = [
             fit(
                 make_model(model, lobes),
                 group,
                 loss,
-                strategy=strategy,
+                strategy=self.own_strategies.get(names[k], strategy),
                 diffuse=self.diffuse,
                 max_theta=self.max_theta,
                 samples=self.samples,
@@ -215,11 +224,13 @@ class FitGrid:
         records = []
         for b, result in enumerate(results):
             for m, record in enumerate(result.records()):
-                record.errors = {name: cross[a, b, m].item() for a, name in enumerate(self.losses)}
+                record.loss = names[b]
+                record.errors = {name: cross[a, b, m].item() for a, name in enumerate(names)}
                 record.outlier = bool(outliers[b, m])
                 records.append(record)
             self.folder.log(
-                f"{strategy}: {model}, {lobes} lobes, {result.loss}: {len(result.names)} fits, {result.seconds:.1f} s"
+                f"{result.strategy}: {model}, {lobes} lobes, {names[b]}: {len(result.names)} fits, "
+                f"{result.seconds:.1f} s"
             )
         return records
 

@@ -34,9 +34,17 @@ DIFFERENCE_LABELS = {
 
 
 def loss_label(name: str) -> str:
-    """A loss's name for people."""
-    if name.startswith("rendered_"):
-        return f"rendered {difference_label(name.removeprefix('rendered_'))}"
+    """A loss's name for people.
+
+    Example:
+        >>> loss_label("cosine_rms"), loss_label("learned+rendered_delta_e76"), loss_label("image_driven_delta_e76")
+        ('cosine RMS', 'learned + rendered ΔE 76', 'image-driven ΔE 76')
+    """
+    if "+" in name:
+        return " + ".join(map(loss_label, name.split("+")))
+    for start, label in (("rendered_", "rendered"), ("image_driven_", "image-driven")):
+        if name.startswith(start):
+            return f"{label} {difference_label(name.removeprefix(start))}"
     name = LOSSES.canonical(name)
     return LOSS_LABELS.get(name, name.replace("_", " "))
 

@@ -3,6 +3,7 @@
 from torchbrdf.fitting.api import SlowFitWarning, fit
 from torchbrdf.fitting.batches import Batches
 from torchbrdf.fitting.global_search import GlobalSearch
+from torchbrdf.fitting.image_driven import ImageDriven
 from torchbrdf.fitting.result import FitResult, write_fits_csv
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.fitting.scoring import cross_score, local_minima, score
@@ -14,6 +15,7 @@ __all__ = [
     "Batches",
     "FitResult",
     "GlobalSearch",
+    "ImageDriven",
     "SlowFitWarning",
     "Status",
     "cross_score",

@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -117,7 +118,7 @@ def fit(
     model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
     if diffuse == "45:0":
         _set_diffuse(model, measured)
-    subset = stratified(len(measured.pairs), samples, seed) if loss.supports_subsampling else None
+    subset = _Subset(len(measured.pairs), samples, seed)
     specs = named_specs(model)
     start = {name: value.clamp(specs[name].lower, specs[name].upper) for name, value in get_parameters(model).items()}
     held = [] if diffuse == "fit" else diffuse_components(model)
@@ -146,9 +147,10 @@ def fit(
         ties=[tie for found in done for tie in found.outcome.near_optimal or [0] * len(found.error)],
         seconds=time.perf_counter() - began,
         max_theta=max_theta,
-        samples=None if subset is None else len(subset),
+        samples=subset.size(loss),
         seed=seed,
         scene=loss.scene_summary,
+        chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -172,6 +174,24 @@ REASONS = {
 }
 
 
+@dataclass(frozen=True)
+class _Subset:
+    """The pairs that a solver works on: so many of all, and the seed by which they are drawn."""
+
+    total: int
+    samples: int | None
+    seed: int
+
+    def index(self, loss: Loss) -> Tensor | None:
+        """Which of the pairs; None: all."""
+        return stratified(self.total, self.samples, self.seed) if loss.supports_subsampling else None
+
+    def size(self, loss: Loss) -> int | None:
+        """How many of the pairs; None: all."""
+        index = self.index(loss)
+        return None if index is None else len(index)
+
+
 class _Fitted(NamedTuple):
     values: ParameterDict
     outcome: Outcome
@@ -187,7 +207,7 @@ class _FitSome:
     model: Lobe
     start: ParameterDict
     loss: Loss
-    subset: Tensor | None
+    subset: _Subset
     strategy: str | Strategy
     fit_diffuse: bool
     max_iterations: int
@@ -197,21 +217,30 @@ class _FitSome:
         loss, run = self.loss, STRATEGIES[self.strategy] if isinstance(self.strategy, str) else self.strategy
         values = take_materials(self.start, rows)
         part = with_parameters(self.model, values)
-        whole = _without_idle_weight(loss.problem(measured))
-        full = make_objective(part, whole, loss)
-        if self.subset is None:
-            task = Task(part, full, None, self.max_iterations)
-        else:
-            some = whole.select(samples=self.subset.to(measured.device))
-            task = Task(part, make_objective(part, some, loss), full, self.max_iterations)
+        whole, some = self._problems(measured, loss)
+        task = self._task(part, measured, whole, some, loss)
         outcome = run(task, values, self.fit_diffuse)
         if not isinstance(outcome, Outcome):
             found = type(outcome).__name__
             raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
         fitted = with_parameters(part, outcome.values)
-        subset_error = errors([fitted], task.objective.problem, [loss])[0, 0]
-        error = subset_error if self.subset is None else errors([fitted], whole, [loss])[0, 0]
+        error = errors([fitted], whole, [loss])[0, 0]
+        subset_error = error if some is None else errors([fitted], some, [loss])[0, 0]
         return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
+
+    def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:
+        """What a loss asks of these materials: all of it, and the part that the solver sees, if that is not all."""
+        whole, index = _without_idle_weight(loss.problem(measured)), self.subset.index(loss)
+        return whole, None if index is None else loss.select(whole, index.to(measured.device))
+
+    def _task(self, model: Lobe, measured: Measured, whole: Problem, some: Problem | None, loss: Loss) -> Task:
+        full = make_objective(model, whole, loss)
+        seen = full if some is None else make_objective(model, some, loss)
+        under = partial(self._task_under, model, measured)
+        return Task(model, seen, None if some is None else full, self.max_iterations, under)
+
+    def _task_under(self, model: Lobe, measured: Measured, loss: Loss) -> Task:
+        return self._task(model, measured, *self._problems(measured, loss), loss)
 
 
 def _with_lost(

@@ -34,6 +34,7 @@ class FitResult:
         samples: How many pairs the solver saw; None: every one.
         seed: Of the subset.
         scene: What a rendered loss saw.
+        chosen: Of each material, the loss whose fit was kept, where the strategy fits under several; else empty.
         history: The stages.
 
     Example:
@@ -63,6 +64,7 @@ class FitResult:
     samples: int | None
     seed: int
     scene: str = ""
+    chosen: list[str] = field(default_factory=list)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
@@ -88,6 +90,7 @@ class FitResult:
                 samples=self.samples,
                 seed=self.seed,
                 scene=self.scene,
+                chosen=self.chosen[k] if self.chosen else "",
                 diffuse=self.diffuse,
                 iterations=sum(stage.iterations[k] for stage in self.history),
             )

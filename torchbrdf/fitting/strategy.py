@@ -34,13 +34,14 @@ class Outcome:
     """The values a strategy has come to, and the stages on the way.
 
     starts: how many it tried; near_optimal: of each material, how many other minima it found close to the best error
-    on the subset.
+    on the subset; chosen: of each, the loss whose fit was kept, where several were tried.
     """
 
     values: ParameterDict
     stages: list[Stage] = field(default_factory=list)
     starts: int = 1
     near_optimal: list[int] = field(default_factory=list)
+    chosen: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: ParameterDict, found: Solution) -> None:
         """Record a stage."""
@@ -59,7 +60,7 @@ STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torc
 
 
 def strategy_name(strategy: str | Strategy) -> str:
-    """The name that a strategy is registered under; of another one, what it calls itself."""
+    """The name that a strategy is registered under; of another one, what it calls itself, in one line."""
     if isinstance(strategy, str):
         return STRATEGIES.canonical(strategy)
-    return STRATEGIES.name_of(strategy) or str(getattr(strategy, "__name__", repr(strategy)))
+    return STRATEGIES.name_of(strategy) or " ".join(str(getattr(strategy, "__name__", repr(strategy))).split())

@@ -1,6 +1,8 @@
 """What a strategy works on, and the two steps that it is made of: moving some parameters so that a loss falls."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -16,6 +18,7 @@ from torchbrdf.fitting.parameters import (
 )
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
+from torchbrdf.losses import Loss
 from torchbrdf.solvers import Solution, minimize_lbfgs, minimize_levenberg_marquardt
 
 
@@ -23,13 +26,15 @@ from torchbrdf.solvers import Solution, minimize_lbfgs, minimize_levenberg_marqu
 class Task:
     """A model and what it is to come close to.
 
-    objective: what the solver works on; full: all there is, where `objective` is a subset of it.
+    objective: what the solver works on; full: all there is, where `objective` is a subset of it; under: the same task
+    under another loss.
     """
 
     model: Lobe
     objective: FitObjective
     full: FitObjective | None = None
     max_iterations: int = 300
+    under: Callable[[Loss], Self] | None = None
 
     def __len__(self) -> int:
         return len(self.objective)

@@ -27,7 +27,10 @@ FITTED = (
 # Fields of numbers that may not be finite, for which JSON has null.
 NUMBERS = ("error", "subset_error", "errors", "differences", "pictures")
 # Fields of text that people are shown, and how long they may be.
-TEXTS = {"loss": 200, "strategy": 200, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000, "at_bounds": 200}
+TEXTS = {
+    "loss": 200, "strategy": 2000, "chosen": 2000, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
+    "at_bounds": 200,
+}  # fmt: skip
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
 
@@ -55,6 +58,7 @@ class FitRecord:
         samples: How many pairs the solver saw; None: every one.
         seed: Of the subset.
         scene: What a rendered loss saw.
+        chosen: The loss whose fit was kept, where the strategy fits under several.
         diffuse: `45:0`, where the diffuse albedo was measured and held, or `fit`.
         iterations: Of the solver.
         errors: Errors on every valid pair by the name of a loss.
@@ -90,6 +94,7 @@ class FitRecord:
     samples: int | None = None
     seed: int | None = None
     scene: str = ""
+    chosen: str = ""
     diffuse: str = ""
     iterations: int = 0
     errors: dict[str, float] = field(default_factory=dict)
@@ -102,8 +107,8 @@ class FitRecord:
         """The record by the keys of `fits.json`, in their order, without what is not known."""
         found: dict[str, Any] = {key: getattr(self, key) for key in ("material", "model", "lobes")}
         for key in FITTED:
-            if key == "diffuse" and self.scene:
-                found["scene"] = self.scene
+            if key == "diffuse":
+                found |= {name: text for name in ("scene", "chosen") if (text := getattr(self, name))}
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
         found["parameters"] = self.parameters

@@ -2,6 +2,7 @@
 
 from torchbrdf.losses import functional
 from torchbrdf.losses.base import LOSSES, Loss
+from torchbrdf.losses.combined import CombinedLoss
 from torchbrdf.losses.compressed import CompressedLoss
 from torchbrdf.losses.cosine import CosineRMSLoss
 from torchbrdf.losses.cube_root import CubeRootLoss
@@ -15,6 +16,7 @@ from torchbrdf.losses.solid_angle import SolidAngleCosineRMSLoss
 
 __all__ = [
     "LOSSES",
+    "CombinedLoss",
     "CompressedLoss",
     "CosineRMSLoss",
     "CubeRootLoss",

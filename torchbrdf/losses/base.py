@@ -199,6 +199,10 @@ class Loss(nn.Module):
         part = measured if subset is None else measured.batch(samples=subset)
         return Problem(part.pairs, part.values, part.weight)
 
+    def select(self, problem: Problem, samples: Tensor) -> Problem:
+        """The part of a problem that has only some of the measured pairs, by index."""
+        return problem.select(samples=samples)
+
     def _cached_target(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
         """What make() encodes of a target, kept for when the same tensor comes again.
 

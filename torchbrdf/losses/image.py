@@ -15,8 +15,8 @@ QuadraticModel = tuple[Tensor, Tensor, Tensor]
 class ImageLoss(Loss):
     """Compares P observations of three channels that follow linearly from the values on the problem's own pairs.
 
-    A subclass gives `observe` and `observe_basis`, the linear function, `compare`, what a fit minimises, and
-    `quadratic_majorizer` if it can. Fits use that a model is a sum of colours times scalar functions: they observe
+    A subclass gives its `pairs`, `observe` and `observe_basis`, the linear function, `compare`, what a fit minimises,
+    and `quadratic_majorizer` if it can. Fits use that a model is a sum of colours times scalar functions: they observe
     those once in a step, and everything else happens in the observations.
 
     Args:

@@ -6,7 +6,7 @@ from torchbrdf.render.light.punctual import DirectionalLight, PointLight, parse_
 from torchbrdf.render.loss import RenderedLoss
 from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh, blob, find_mesh, sphere
-from torchbrdf.render.scene import Scene
+from torchbrdf.render.scene import Scene, small_scene
 from torchbrdf.render.transport.cache import cache_folder
 from torchbrdf.render.transport.transport import Transport
 
@@ -24,5 +24,6 @@ __all__ = [
     "find_mesh",
     "parse_light",
     "render",
+    "small_scene",
     "sphere",
 ]

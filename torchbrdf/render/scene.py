@@ -14,7 +14,7 @@ from torchbrdf.precision import undisturbed
 from torchbrdf.render.light.environment import Environment
 from torchbrdf.render.light.punctual import PunctualLight
 from torchbrdf.render.raster.camera import Camera
-from torchbrdf.render.raster.mesh import Mesh
+from torchbrdf.render.raster.mesh import Mesh, blob
 from torchbrdf.render.raster.pixels import rasterize_pixels
 from torchbrdf.render.transport.cache import digest, load_or_build
 from torchbrdf.render.transport.quadrature import HalfVectorQuadrature, LightQuadrature, PunctualQuadrature, Quadrature
@@ -185,6 +185,47 @@ class Scene:
     def transport(self) -> Transport:
         """Light transport matrix, which makes the picture of values on `pairs`."""
         return self._whole[1]
+
+
+def small_scene(
+    mesh: Mesh | None = None,
+    environment: Environment | None = None,
+    *,
+    size: int = 24,
+    light_samples: int = 1024,
+    cache: Path | str | None = None,
+) -> Scene:
+    """A scene whose picture costs a fit no more than the samples of a table, for `CombinedLoss`.
+
+    Few pixels, fewer half vectors around each, and a sixth of the pairs that a `Scene` of that size has: compared with
+    other pictures of the same scene, none is far off.
+
+    Args:
+        mesh: The object; by default `blob()`.
+        environment: As of `Scene`, as what follows.
+        size: Pixels of a side.
+        light_samples: Directional lights.
+        cache: A folder where the transport is kept.
+
+    Returns:
+        The scene.
+
+    Example:
+        >>> from torchbrdf.losses import CombinedLoss, CompressedLoss
+        >>> from torchbrdf.render import RenderedLoss
+        >>> CombinedLoss(CompressedLoss(), RenderedLoss(small_scene(size=8))).registered_name
+        'compressed+rendered_delta_e76'
+    """
+    return Scene(
+        blob() if mesh is None else mesh,
+        None,
+        environment,
+        size=size,
+        nodes=64,
+        light_samples=light_samples,
+        resolution=(24, 16, 12),
+        cache=cache,
+    )
 
 
 def _occluder(mesh: Mesh) -> "Occluder":

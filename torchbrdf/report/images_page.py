@@ -1,5 +1,6 @@
-"""report.html of analytic metrics beside rendered-image loss."""
+"""report.html of analytic metrics beside losses of pictures."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from torchbrdf.experiment.labels import difference_label, diffuse_label, loss_la
 from torchbrdf.experiment.pictures import BRIGHTEST, DIFFERENCE, Pictures
 from torchbrdf.files import write_text
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import ImageLoss
 from torchbrdf.perception.discrimination.words import MEANING, brief
 from torchbrdf.report.embed import embed_png, embed_webp, template
 from torchbrdf.report.figures import bars_figure, grid_figure
@@ -28,7 +28,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     Args:
         pictures: Of the grid, in two scenes.
         scenes: Of each scene what it is, in words, the training scene first.
-        used: What rendered losses saw, in words.
+        used: What losses of pictures saw, in words.
         problems: What was left out.
 
     Returns:
@@ -36,11 +36,11 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     """
     grid, folder = pictures.grid, pictures.grid.folder.path
     training, unseen = scenes
-    rendered = [name for name, loss in grid.losses.items() if isinstance(loss, ImageLoss)]
-    analytic = [name for name in grid.losses if name not in rendered]
+    pictured = [name for name, loss in grid.losses.items() if loss.scene_summary]
+    analytic = [name for name in grid.losses if name not in pictured]
     figure = folder / "figures" / "losses.png"
     means = {scene: {x: _values(pictures.records_in(scene), x) for x in grid.losses} for scene in scenes}
-    bars_figure(figure, means, rendered, grid.stand_in)
+    bars_figure(figure, means, pictured, grid.stand_in)
     for scene in scenes:
         for model in grid.models:
             _grid_figure(pictures, scene, model)
@@ -50,7 +50,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
         diffuse=diffuse_label(grid.diffuse),
         stand_in=grid.stand_in,
         problems=problems,
-        findings=findings(pictures, training, unseen, analytic, rendered),
+        findings=findings(pictures, training, unseen, analytic, pictured),
         brightest=f"{BRIGHTEST:g}",
         blocks=[_block(pictures, scene, model, scenes) for scene in (unseen, training) for model in grid.models],
         figure=embed_png(figure),
@@ -58,7 +58,8 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
         meaning=MEANING,
         tables=[
             *(_difference_table(pictures, scene, scenes[scene]) for scene in (unseen, training)),
-            *(_agreement_table(pictures, scene, analytic + rendered) for scene in (unseen, training)),
+            *(_choice_table(grid, loss) for loss in grid.own_strategies),
+            *(_agreement_table(pictures, scene, _metrics(grid)) for scene in (unseen, training)),
             _error_table(grid),
             _cost_table(grid),
         ],
@@ -71,7 +72,7 @@ def write_images_report(pictures: Pictures, scenes: Mapping[str, str], used: str
     return path
 
 
-def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str], rendered: list[str]) -> list[str]:
+def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str], pictured: list[str]) -> list[str]:
     """What the numbers say, in sentences."""
     grid = pictures.grid
     records = pictures.records_in(unseen)
@@ -89,17 +90,20 @@ def findings(pictures: Pictures, training: str, unseen: str, analytic: list[str]
     ]
     for scene in (unseen, training):
         mean = {x: float(np.mean(_values(pictures.records_in(scene), x))) for x in grid.losses}
-        best, bought = (min(part, key=lambda x: mean[x]) for part in (analytic, rendered))
+        best, bought = (min(part, key=lambda x: mean[x]) for part in (analytic, pictured))
         lines.append(
             f"In the {scene} scene the fits under {loss_label(best)} look best of those under analytic metrics (mean "
-            f"ΔE {mean[best]:.2f}), those under {loss_label(bought)} best of the rendered ones ({mean[bought]:.2f})."
+            f"ΔE {mean[best]:.2f}), those by {loss_label(bought)} best of those that see pictures ({mean[bought]:.2f})."
         )
-    for loss in rendered:
+    mean = {x: float(np.mean(_values(records, x))) for x in grid.losses}
+    nearest = min(pictured, key=lambda x: mean[x])
+    for loss in pictured:
         ours = _by_fit(records, loss)
         others = {key: min(_by_fit(records, x)[key] for x in analytic) for key in ours}
         count = sum(ours[key] <= others[key] for key in ours)
         lines.append(
-            f"{loss_label(loss)}: in the unseen scene no farther from the reference than the best of all "
+            f"{loss_label(loss)}: in the unseen scene mean ΔE {mean[loss]:.2f}, {mean[loss] / mean[nearest]:.2f} times "
+            f"that of {loss_label(nearest)}; no farther from the reference than the best of all "
             f"{len(analytic)} analytic metrics in {count} of {len(ours)} fits. A fit took "
             f"{_seconds(grid, loss):.1f} s; analytic ones {min(_seconds(grid, x) for x in analytic):.2f} to "
             f"{max(_seconds(grid, x) for x in analytic):.2f} s."
@@ -143,13 +147,20 @@ def _block(pictures: Pictures, scene: str, model: str, scenes: Mapping[str, str]
     return {"label": label, "losses": [loss_label(loss) for loss in grid.losses], "rows": rows}
 
 
+def _metrics(grid: FitGrid) -> list[str]:
+    """The losses without those that a loss before them is, too, but for the strategy."""
+    return [loss for loss in grid.losses if loss not in grid.own_strategies]
+
+
 def _grid_figure(pictures: Pictures, scene: str, model: str) -> None:
     """The pictures of one model's fits in one scene as a figure."""
     grid = pictures.grid
     lines = {"reference": [pictures.path(picture_name(material), scene) for material in grid.materials]}
     for loss in grid.losses:
         records = [grid.record(material, model, loss) for material in grid.materials]
-        lines[loss_label(loss)] = [pictures.path(grid.picture(record), scene) for record in records]
+        lines[loss_label(loss).replace(" + ", "\n+ ")] = [
+            pictures.path(grid.picture(record), scene) for record in records
+        ]
     grid_figure(grid.folder.path / "figures" / f"{scene}-{model}.png", grid.materials, lines, grid.stand_in)
 
 
@@ -165,6 +176,23 @@ def _difference_table(pictures: Pictures, scene: str, words: str) -> Table:
     note = f"Means over all materials and models, in the {scene} scene ({words}); {treated}. Bold: the best."
     columns = [Column("fits under", loss_label), *map(difference, pictures.differences)]
     return table(f"Fits judged by pictures: {scene} scene", note, pictures.grid.losses, columns)
+
+
+def _choice_table(grid: FitGrid, loss: str) -> Table:
+    """How often the fit under each metric was the nearest."""
+    counts = {
+        model: Counter(record.chosen for record in grid.shown if record.loss == loss and record.model == model)
+        for model in grid.models
+    }
+    names = sorted({name for own in counts.values() for name in own}, key=lambda x: -sum(c[x] for c in counts.values()))
+
+    def count(model: str) -> Column[str]:
+        return Column(model_label(model), lambda name: counts[model][name])
+
+    note = f"For how many of the {len(grid.materials)} materials the fit under each metric was the nearest."
+    return table(
+        f"What {loss_label(loss)} chose", note, names, [Column("metric", loss_label), *map(count, grid.models)]
+    )
 
 
 def _agreement_table(pictures: Pictures, scene: str, metrics: Sequence[str]) -> Table:
@@ -201,9 +229,8 @@ def _error_table(grid: FitGrid) -> Table:
         "The error of the fits under the loss of a row, measured by the loss of a column, over that of the column's "
         "own fits; the median over materials and models."
     )
-    return table(
-        "Errors across losses", note, grid.losses, [Column("fits under", loss_label), *map(ratio, grid.losses)]
-    )
+    columns = [Column("fits under", loss_label), *map(ratio, _metrics(grid))]
+    return table("Errors across losses", note, grid.losses, columns)
 
 
 def _cost_table(grid: FitGrid) -> Table:

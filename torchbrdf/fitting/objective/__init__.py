@@ -5,6 +5,7 @@ from torchbrdf.fitting.basis import is_linear_in_albedos
 from torchbrdf.fitting.objective.autograd import AutogradObjective
 from torchbrdf.fitting.objective.base import FitObjective, GaussNewtonObjective
 from torchbrdf.fitting.objective.binned import BinnedObjective
+from torchbrdf.fitting.objective.combined import CombinedObjective
 from torchbrdf.fitting.objective.image import ImageObjective
 from torchbrdf.fitting.objective.pointwise import PointwiseObjective
 from torchbrdf.lobes import Lobe
@@ -14,6 +15,7 @@ OBJECTIVES: dict[str, type[FitObjective]] = {
     "pointwise": PointwiseObjective,
     "binned": BinnedObjective,
     "image": ImageObjective,
+    "combined": CombinedObjective,
     "autograd": AutogradObjective,
 }
 
