@@ -35,13 +35,16 @@ class TrainMetric(HumanAnswersRecipe):
     repeats: int = field(
         default=10, metadata={"help": "of the two-fold cross-validation over materials", "low": 1, "high": 1000}
     )
-    pointwise: float = field(
-        default=0.3,
+    bins: float = field(
+        default=0.15,
         metadata={
-            "help": "the share of single values in the mean distance of two materials, which is set and not learned",
+            "help": "the share of bins in the mean distance of two materials, set and not learned",
             "low": 0.05,
-            "high": 0.95,
+            "high": 0.45,
         },
+    )
+    pointwise: float = field(
+        default=0.2, metadata={"help": "that of single values, set and not learned", "low": 0.05, "high": 0.45}
     )
 
     def __post_init__(self) -> None:
@@ -76,7 +79,7 @@ class TrainMetric(HumanAnswersRecipe):
             folder,
             repeats=repeats,
             replicates=replicates,
-            pointwise=self.pointwise,
+            given={"bins": self.bins, "pointwise": self.pointwise},
             samples=samples,
             seed=self.seed,
         )

@@ -116,7 +116,7 @@ def people() -> dict[str, Tensor]:
     data = synthetic_benchmark(questions=30)
     training_set = make_training_set(data, evaluate_brdfs(data, uniform_pairs(60)))
     everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
-    training = train(training_set, everything, 0.3)
+    training = train(training_set, everything, (0.15, 0.2))
     first = next(splits(training_set, 1, 0))
     wins = torch.tensor([[[[0, 5, 9], [4, 0, 7], [1, 3, 0]]]], dtype=torch.float64, device="cpu")
     scales = scale(Comparisons(["material"], [["a", "b", "c"]], ["observer"], wins))

@@ -77,19 +77,24 @@ def test_terms_times_constants_are_the_distance() -> None:
 
 
 def test_what_each_term_sees() -> None:
-    """Brightness is no gloss, gloss no colour; and errors that cancel in a bin are single ones."""
+    """Brightness is no gloss, gloss no colour, a coloured lobe is in its bins; single errors cancel in a bin."""
     base = glossy(0.1)
-    gloss, chroma, single = LearnedLoss().terms(2 * base, base, PAIRS).tolist()
-    assert single == pytest.approx(np.log(2), rel=0.1)
+    gloss, chroma, bins, single = LearnedLoss().terms(2 * base, base, PAIRS).tolist()
+    assert single == pytest.approx(np.log(2), rel=0.1) and bins == pytest.approx(np.log(2), rel=0.1)
     assert gloss < 0.05 and chroma > 0  # a colour twice as bright is more of it
-    grey = (base @ torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64))[:, None].expand(-1, 3)
-    gloss, chroma, _ = LearnedLoss().terms(grey, base, PAIRS).tolist()
-    assert gloss < 1e-12 and chroma > 0.03
-    gloss, chroma, _ = LearnedLoss().terms(glossy(0.1, specular=0.4), base, PAIRS).tolist()
+    light = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
+    grey = (base @ light)[:, None].expand(-1, 3)
+    gloss, chroma, bins, _ = LearnedLoss().terms(grey, base, PAIRS).tolist()
+    assert gloss < 1e-12 and chroma > 0.03 and bins > 0.1
+    gloss, chroma, _, _ = LearnedLoss().terms(glossy(0.1, specular=0.4), base, PAIRS).tolist()
     assert gloss > 0.4 and chroma < 0.02
+    lobe = glossy(0.05, diffuse=0.0)
+    green = lobe * torch.tensor([0.5, (1 - 0.5 * (1 - 0.7152)) / 0.7152, 0.5])  # of the same luminance
+    gloss, _, bins, _ = LearnedLoss().terms(base + green, base + lobe, PAIRS).tolist()
+    assert gloss < 1e-3 and bins > 0.05
     sign = torch.where(torch.arange(2000) % 2 == 0, 1.2, 0.8).double()[:, None]
-    *averages, single = LearnedLoss().terms(base * sign, base, PAIRS).tolist()
-    assert single > 0.15 and averages[0] < 0.1
+    gloss, _, bins, single = LearnedLoss().terms(base * sign, base, PAIRS).tolist()
+    assert single > 0.15 and max(gloss, bins) < 0.1
 
 
 def test_the_docstring_has_the_constants_that_come_with_it() -> None:
@@ -140,11 +145,11 @@ def test_bins_without_pairs_add_nothing() -> None:
         pairs = Pairs.from_half_diff(*(x.deg2rad() for x in (high, 25 * angles, around)))
         return LearnedLoss().terms(glossy(0.1, pairs=pairs), glossy(0.2, pairs=pairs), pairs).tolist()
 
-    gloss, chroma, single = between(0.0)
-    assert gloss == chroma == 0 and single > 0.5
-    gloss, chroma, _ = between(0.0, 35.0)
+    gloss, chroma, bins, single = between(0.0)
+    assert gloss == chroma == 0 and single > 0.5 and bins == pytest.approx(single, rel=0.2)
+    gloss, chroma, *_ = between(0.0, 35.0)
     assert gloss > 0.5 and chroma > 0
-    gloss, chroma, _ = between(15.0, 35.0)
+    gloss, chroma, *_ = between(15.0, 35.0)
     assert gloss == 0 and chroma > 0
 
 
@@ -212,10 +217,10 @@ NAMES = ", ".join(CONSTANTS)
         (lambda d: d.update(theta_h=[0, 90]), r"theta_h: expected .*, found \[0.0, 90.0\]"),
         (lambda d: d.update(provenance="mine"), "expected a learned metric, .* got `str` - at `\\$.provenance`"),
         (lambda d: d.update(provenance=["mine"]), "expected a learned metric, .* got `array` - at `\\$.provenance`"),
-        (lambda d: d["constants"].pop("gloss"), f"constants: expected {NAMES}; found 'chroma, pointwise'"),
+        (lambda d: d["constants"].pop("gloss"), f"constants: expected {NAMES}; found 'chroma, bins, pointwise'"),
         (
             lambda d: d["constants"].update(more=1.0),
-            f"constants: expected {NAMES}; found 'gloss, chroma, pointwise, more'",
+            f"constants: expected {NAMES}; found 'gloss, chroma, bins, pointwise, m",
         ),
         (lambda d: d["constants"].update(gloss=-1.0), r"constants: gloss: expected 0 to 1e\+20, found -1.0"),
         (lambda d: d["constants"].update(gloss=1e300), r"constants: gloss: expected 0 to 1e\+20, found 1e\+300"),

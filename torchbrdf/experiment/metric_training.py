@@ -153,7 +153,14 @@ class TrainedMetric:
 
 
 def train_metric(
-    data: TrainingData, folder: RunFolder, *, repeats: int, replicates: int, pointwise: float, samples: int, seed: int
+    data: TrainingData,
+    folder: RunFolder,
+    *,
+    repeats: int,
+    replicates: int,
+    given: Mapping[str, float],
+    samples: int,
+    seed: int,
 ) -> TrainedMetric:
     """Train on halves of the materials, and on all of them. Nothing is chosen with a look at what is held out.
 
@@ -162,14 +169,14 @@ def train_metric(
         folder: Of the run; trainings are kept in `trainings/`, and read where they are there.
         repeats: Of the two-fold cross-validation over materials.
         replicates: Of the bootstrap.
-        pointwise: The share that the pointwise term has of the mean distance of two materials.
+        given: Shares of the mean distance of two materials that are set, not learned, by the names of the last terms.
         samples: Pairs, for the record.
         seed: Of the halves and of the bootstrap.
 
     Raises:
         DataError: Too few materials, or what is kept of a training cannot be read.
     """
-    training_set = data.training_set
+    training_set, shares = data.training_set, tuple(given.values())
     count, terms = training_set.terms.shape
     folder.log(f"{count} distances of {terms} terms, {len(training_set.names)} materials")
     if len(training_set.names) < 4:
@@ -178,7 +185,7 @@ def train_metric(
     everything = Split("all", torch.ones(len(training_set.names), dtype=torch.bool, device="cpu"))
     progress, found = folder.progress("trainings"), []
     for k, split in enumerate([everything, *halves], 1):
-        found.append(_trained(folder, training_set, split, pointwise))
+        found.append(_trained(folder, training_set, split, shares))
         progress(k, len(halves) + 1)
     best, *others = found
     judged = [(split, training.constants) for split, training in zip(halves, others, strict=True)]
@@ -197,8 +204,8 @@ def train_metric(
         "seed": seed,
         "version": version("torchbrdf"),
         "date": time.strftime("%Y-%m-%d"),
-        "pointwise_share": pointwise,
-        "intervals": constant_intervals(training_set, pointwise, drawn, seed),
+        "given_shares": dict(given),
+        "intervals": constant_intervals(training_set, shares, drawn, seed),
         "slopes": {
             name: float(f"{x:.4g}") for name, x in zip(("triplets", "others"), best.slopes.tolist(), strict=True)
         },
@@ -304,12 +311,12 @@ def read_training(path: Path, terms: int) -> Training:
     return Training(**{name: torch.from_numpy(parts[name]) for name in layout})
 
 
-def _trained(folder: RunFolder, training_set: TrainingSet, split: Split, pointwise: float) -> Training:
+def _trained(folder: RunFolder, training_set: TrainingSet, split: Split, given: tuple[float, ...]) -> Training:
     """One training, read where an earlier run has finished it."""
     path = folder.path / "trainings" / f"{split.name}.npz"
     if exists(path):
         return read_training(path, training_set.terms.shape[1])
-    training = train(training_set, split, pointwise)
+    training = train(training_set, split, given)
     write_npz(path, {name: value.numpy() for name, value in vars(training).items()})
     learned_from, rest = training.mismatch.tolist()
     folder.log(

@@ -1,4 +1,4 @@
-"""A distance between BRDFs whose three constants were learned from what people answered."""
+"""A distance between BRDFs whose four constants were learned from what people answered."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -37,11 +37,13 @@ class Encoded(NamedTuple):
     Args:
         values: log(x + EPSILON) of each value, `(..., N, C)`.
         luminance: log(l.<x> + EPSILON) of each bin, `(..., B)`, float64.
+        logs: log(<x> + EPSILON) of each bin, `(..., C, B)`, float64.
         color: (<x> + EPSILON)^(1/3) of each bin, `(..., C, B)`, float64.
     """
 
     values: Tensor
     luminance: Tensor
+    logs: Tensor
     color: Tensor
 
 
@@ -54,6 +56,8 @@ class Comparison(NamedTuple):
         bins: the pairs in their bins.
         gloss: of luminance, the lobe's mean less the body's, `(..., B)`; 0 where either has no bin with pairs.
         chroma: of color, its mean, `(..., B)`; its sum is 1, or 0 where no bin has pairs.
+        even: the share of bins in the mean of all that have pairs, `(..., B)`; its sum is 1.
+        channel: the share of channels in it, `(..., C, 1)`; its sum is 1.
         channel_luminance: the share of channels in luminance, `(..., 1, C)`.
         channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
             chroma, `(..., C, C)`.
@@ -62,15 +66,18 @@ class Comparison(NamedTuple):
     bins: Bins
     gloss: Tensor
     chroma: Tensor
+    even: Tensor
+    channel: Tensor
     channel_luminance: Tensor
     channel_chroma: Tensor
 
     def terms(self, one: Encoded, other: Encoded) -> Tensor:
-        """What the constants multiply, `(..., 3)`."""
+        """What the constants multiply, `(..., 4)`."""
         chroma = (self.channel_chroma @ ((one.color - other.color) @ self.chroma[..., None]))[..., 0]
         parts = [
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
+            ((one.logs - other.logs).abs() * self.even[..., None, :] * self.channel).sum((-2, -1)),
             self.bins.mean((one.values - other.values).abs()),
         ]
         return torch.stack(parts, -1)
@@ -86,20 +93,23 @@ class LearnedLoss(Loss):
 
         G(x) = mean_(h = 0, 5; k = 25, 50) log(l.<x>_hk + E) - mean_(h = 35, 70; k = 25, 50) log(l.<x>_hk + E)
         C(x) = mean_(h = 15, 35, 70; k) (<x>_hk + E)^(1/3)
-        D = w1 |G(x) - G(y)| + w2 c(C(x) - C(y)) + w3 mean_nc |log(x_nc + E) - log(y_nc + E)|
+        D = w1 |G(x) - G(y)| + w2 c(C(x) - C(y)) + w3 mean_hkc |log(<x>_hkc + E) - log(<y>_hkc + E)|
+            + w4 mean_nc |log(x_nc + E) - log(y_nc + E)|
 
     G is gloss, how far the lobe stands out from the body; C the colour beside the highlight. The constants that come
     with torchbrdf, by their names in `metric.json`:
 
-        w1  gloss      0.3105
-        w2  chroma     5.983
-        w3  pointwise  0.2363
+        w1  gloss      0.2872
+        w2  chroma     5.617
+        w3  bins       0.127
+        w4  pointwise  0.1575
 
-    An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The last term holds
-    fits together, whose errors would cancel within averages. D is a sum of absolute differences of encodings:
-    symmetric, 0 for equal values only, and obeys the triangle inequality; at equal values, where it has a cusp, its
-    gradient is 0. Averages make it depend little on the choice of pairs, where their weights are passed. A bin without
-    pairs adds nothing, and means over bins are those of the others.
+    An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The first two terms
+    order what people see; errors would cancel within them, and the last two hold fits together: each bin and channel,
+    and within it each value. D is a sum of absolute differences of encodings: symmetric, 0 for equal values only, and
+    obeys the triangle inequality; at equal values, where it has a cusp, its gradient is 0. Averages make it depend
+    little on the choice of pairs, where their weights are passed. A bin without pairs adds nothing, and means over bins
+    are those of the others.
 
     With one channel, luminance is its value and there is no chroma; with any other number but three, all channels count
     alike in luminance. Weights that differ by channel weigh each channel's averages, and its share in luminance and
@@ -184,7 +194,7 @@ class LearnedLoss(Loss):
     def terms(
         self, prediction: Tensor, target: Tensor, pairs: Pairs | None = None, weight: Tensor | None = None
     ) -> Tensor:
-        """What the constants multiply, in the order of `CONSTANTS`, `(..., 3)`, float64; arguments as `error`."""
+        """What the constants multiply, in the order of `CONSTANTS`, `(..., 4)`, float64; arguments as `error`."""
         self._check(prediction, target, pairs, weight)
         prediction, target, pairs = self._widened(prediction, target, pairs)
         if pairs is None:
@@ -238,7 +248,8 @@ class LearnedLoss(Loss):
         averages = comparison.bins.averages(x)
         logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
         luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
-        return Encoded(logs, luminance, (averages + EPSILON).pow(1 / 3))
+        averages = averages + EPSILON
+        return Encoded(logs, luminance, averages.log(), averages.pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Constants follow to another device, but stay float64, as terms are; half precision would round them."""
@@ -310,8 +321,8 @@ def rounded_absolute(difference: Tensor, width: Tensor | float | None) -> tuple[
     return root, difference * curvature, curvature
 
 
-def bin_shares(present: Tensor) -> tuple[Tensor, Tensor]:
-    """`gloss` and `chroma` of a `Comparison`, from which bins are there, `(..., B)`."""
+def bin_shares(present: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """`gloss`, `chroma` and `even` of a `Comparison`, from which bins are there, `(..., B)`."""
     rows = present.unflatten(-1, (THETA_H_BINS, THETA_D_BINS))
     lobe, body, color = torch.zeros_like(rows), torch.zeros_like(rows), torch.zeros_like(rows)
     near = slice(GLOSS_THETA_D_BINS)
@@ -320,7 +331,7 @@ def bin_shares(present: Tensor) -> tuple[Tensor, Tensor]:
         own[..., place, near] = _even(rows[..., place, near], -2) * both
     color[..., COLOR, :] = _even(rows[..., COLOR, :], -1)
     columns = both.sum((-2, -1), keepdim=True).clamp_min(1)
-    return ((lobe - body) / columns).flatten(-2), _even(color, (-2, -1)).flatten(-2)
+    return ((lobe - body) / columns).flatten(-2), _even(color, (-2, -1)).flatten(-2), _even(present, -1)
 
 
 def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
@@ -329,11 +340,11 @@ def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
     return shares / torch.where(total > 0, total, 1)
 
 
-def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor]:
-    """`channel_luminance` and `channel_chroma` of a `Comparison`, from the weight of each channel, `(..., 1|C)`."""
+def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor]:
+    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`."""
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
     luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
     luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
-    root = (share / share.sum(-1, keepdim=True)).sqrt()[..., None]
+    even = (share / share.sum(-1, keepdim=True))[..., None]
     one = torch.eye(channels, dtype=share.dtype, device=share.device)
-    return luminance, root * (one - luminance)
+    return even, luminance, even.sqrt() * (one - luminance)

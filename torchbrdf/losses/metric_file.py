@@ -11,8 +11,8 @@ from torchbrdf.reading import read_json
 
 EPSILON = 1e-3
 """Added to values times cosines before they are compressed: how dark a difference can be before it no longer counts."""
-CONSTANTS = ("gloss", "chroma", "pointwise")
-"""Names of w1 to w3, in the order of `LearnedLoss.terms`."""
+CONSTANTS = ("gloss", "chroma", "bins", "pointwise")
+"""Names of w1 to w4, in the order of `LearnedLoss.terms`."""
 BUNDLED = "learned_metric.json"
 LARGEST_CONSTANT = 1e20
 """Trained constants are below 1e3; far larger ones overflow in float32."""

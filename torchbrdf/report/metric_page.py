@@ -17,7 +17,8 @@ from torchbrdf.report.tables import Column, Table, table
 
 TITLE = "A metric learned from answers"
 CONSTANTS_NOTE = (
-    "Intervals: trainings on materials drawn with replacement. The share of the pointwise term is set, not learned."
+    "Intervals: trainings on materials drawn with replacement. The shares of bins and of single values in the mean "
+    "distance of two materials are set, not learned."
 )
 KEPT = (
     (

@@ -44,7 +44,13 @@ def _training_data() -> TrainingData:
 def _train(folder: Path) -> torch.Tensor:
     """The constants that come of answers, in a folder that may have trainings; a metric can be made of them."""
     trained = train_metric(
-        _training_data(), RunFolder(folder), repeats=1, replicates=2, pointwise=0.3, samples=PAIRS, seed=0
+        _training_data(),
+        RunFolder(folder),
+        repeats=1,
+        replicates=2,
+        given={"bins": 0.15, "pointwise": 0.2},
+        samples=PAIRS,
+        seed=0,
     )
     constants = trained.metric["constants"]
     pairs = uniform_pairs(40)

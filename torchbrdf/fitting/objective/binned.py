@@ -37,7 +37,7 @@ class BinnedSums(Sums):
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix, as `Sums.totals` gives them of single values, with those of the averages."""
         objective, constants = self.objective, self.objective.constants
-        share = constants[2] / self._own(objective.encoded.total)
+        share = constants[3] / self._own(objective.encoded.total)
         value, gradient, matrix = super().totals(jacobian)
         value, gradient = value * share, gradient * share[:, None]
         matrix = matrix * share[:, None, None] if self.curvature else matrix
@@ -57,12 +57,17 @@ class BinnedSums(Sums):
         root_slopes = (root * weight / (3 * color))[..., None] * slopes
         chroma_slopes = comparison.channel_chroma @ root_slopes.sum(2)
 
-        width = None if self.width is None else self.width[:, 0, 0].double()
-        for found, slope, constant, over in (
-            (gloss[:, None], gloss_slopes[..., None], constants[0], width),
-            (chroma[..., 0], chroma_slopes.mT, constants[1], None if width is None else COLOR_WIDTH * width),
+        bins = color.log() - self._own(target.logs)
+        bin_slopes = (slopes / color[..., None]).flatten(1, 2).mT
+        even = (comparison.even[:, None] * comparison.channel).flatten(1)
+
+        width = None if self.width is None else self.width[:, 0].double()  # (m, 1)
+        for found, slope, weight, over in (
+            (gloss[:, None, None], gloss_slopes[..., None, None], constants[0], width),
+            (chroma, chroma_slopes.mT[..., None], constants[1], None if width is None else COLOR_WIDTH * width),
+            (bins.flatten(1)[:, None], bin_slopes[:, :, None], constants[2] * even, width),
         ):
-            parts = _size(found, slope, constant, over, self.curvature)
+            parts = _size(found, slope, weight, over, self.curvature)
             value, gradient = value + parts[0], gradient + parts[1]
             matrix = matrix + parts[2] if self.curvature else matrix
         return value, gradient, matrix
@@ -78,18 +83,19 @@ class BinnedSums(Sums):
 
 
 def _size(
-    found: Tensor, slopes: Tensor, constant: Tensor, width: Tensor | None, curvature: bool
+    found: Tensor, slopes: Tensor, weight: Tensor, width: Tensor | None, curvature: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A constant times the length of a vector, with its gradient and the matrix of its majorizer.
+    """The weighted sum of lengths of vectors, with its gradient and the matrix of its majorizer.
 
-    found: `(m, C)`; slopes: `(m, P, C)`; width: `(m,)`.
+    found: J vectors of C numbers, `(m, C, J)`; slopes: `(m, P, C, J)`; weight: `(m|1, J)`, or one; width: `(m, 1)`.
     """
     size, _, curve = rounded_absolute(found.square().sum(1).sqrt(), width)
-    curve = constant * curve[:, None]
-    gradient = (slopes @ (curve * found)[..., None])[..., 0]
+    curve = (weight * curve)[:, None].expand_as(found).flatten(1)
+    flat = slopes.flatten(2)
+    gradient = (flat @ (curve * found.flatten(1))[..., None])[..., 0]
     if not curvature:
-        return constant * size, gradient, gradient.new_empty(0)
-    return constant * size, gradient, (slopes * curve[..., None]) @ slopes.mT
+        return (weight * size).sum(1), gradient, gradient.new_empty(0)
+    return (weight * size).sum(1), gradient, (flat * curve[:, None]) @ flat.mT
 
 
 class BinnedObjective(PointwiseObjective):

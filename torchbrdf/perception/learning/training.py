@@ -89,21 +89,22 @@ def negative_log_likelihood(
 
 
 @undisturbed()
-def train(training_set: TrainingSet, split: Split, pointwise: float) -> Training:
+def train(training_set: TrainingSet, split: Split, given: tuple[float, ...]) -> Training:
     """Train constants on what a split learns from, by sequential quadratic programming; the rest is judged.
 
-    What is sought is the share of each term in the mean distance of two materials, at least 0, which adds up to 1; that
-    of the pointwise term, the last, is given. There is nothing random in it.
+    What is sought is the share of each term in the mean distance of two materials, at least 0; they add up to 1, and
+    those of the last terms are given. There is nothing random in it.
     """
     scale = training_set.terms[training_set.usual].mean(0).clamp_min(1e-12)
-    free = len(scale) - 1
+    free, left = len(scale) - len(given), 1 - sum(given)
+    fixed = torch.tensor(given, dtype=torch.float64, device="cpu")
     parts = [
         {name: select_judgments(training_set, own, split, seen=seen) for name, own in training_set.judgments.items()}
         for seen in (True, False)
     ]
 
     def unpacked(x: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.cat([x[:free], x.new_full((1,), pointwise)]) / scale, x[free:].exp()
+        return torch.cat([x[:free], fixed]) / scale, x[free:].exp()
 
     def value(x: np.ndarray) -> tuple[float, np.ndarray]:
         point = torch.from_numpy(x.copy()).requires_grad_()
@@ -113,11 +114,11 @@ def train(training_set: TrainingSet, split: Split, pointwise: float) -> Training
 
     best = minimize(
         value,
-        np.array([(1 - pointwise) / free] * free + [math.log(slope) for slope in SLOPES]),
+        np.array([left / free] * free + [math.log(slope) for slope in SLOPES]),
         jac=True,
         method="SLSQP",
         bounds=[(0, 1)] * free + [LOG_SLOPES] * 2,
-        constraints=[LinearConstraint([[1.0] * free + [0.0] * 2], 1 - pointwise, 1 - pointwise)],
+        constraints=[LinearConstraint([[1.0] * free + [0.0] * 2], left, left)],
         options={"maxiter": 300, "ftol": 1e-10},
     ).x
     constants, slopes = unpacked(torch.from_numpy(best))
@@ -149,11 +150,11 @@ def constants_by_name(constants: Tensor) -> dict[str, float]:
 
 
 def constant_intervals(
-    training_set: TrainingSet, pointwise: float, replicates: int, seed: int
+    training_set: TrainingSet, given: tuple[float, ...], replicates: int, seed: int
 ) -> dict[str, tuple[float, float]]:
     """95 % intervals of the constants: trainings on materials drawn with replacement."""
     drawn = resample_counts(len(training_set.names), replicates, seed)
-    found = [train(training_set, Split("drawn", times), pointwise).constants for times in drawn]
+    found = [train(training_set, Split("drawn", times), given).constants for times in drawn]
     low, high = map(constants_by_name, percentile_interval(torch.stack(found)).unbind(1))
     return {name: (low[name], high[name]) for name in CONSTANTS}
 
