@@ -323,11 +323,10 @@ def test_a_fit_is_better_under_it_than_another_losses_fit() -> None:
     measured = load(standins()).batch([0, 1]).within(80.0)
     loss = LearnedLoss()
     own, other = (fit(make_model("ward", lobes=2), measured, x, samples=4000) for x in (loss, LOSSES["cube_root"]()))
-    score = LearnedLoss(reduction="none")
+    score, whole = LearnedLoss(reduction="none"), loss.problem(measured)
     with torch.no_grad():
         mine, theirs = (
-            score(result.model(measured.pairs), measured.values, measured.pairs, measured.weight)
-            for result in (own, other)
+            score(result.model(whole.pairs), whole.target, whole.pairs, whole.weight) for result in (own, other)
         )
     torch.testing.assert_close(mine.double(), own.error, rtol=1e-3, atol=0)
     assert bool((mine < theirs).all())
