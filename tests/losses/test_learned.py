@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.known_models import Made
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -330,3 +331,36 @@ def test_a_fit_is_better_under_it_than_another_losses_fit() -> None:
         )
     torch.testing.assert_close(mine.double(), own.error, rtol=1e-3, atol=0)
     assert bool((mine < theirs).all())
+
+
+def test_merls_bins_count_as_the_pairs_it_was_trained_on() -> None:
+    """Averages on a table's bins are those of pairs uniform in (theta_i, theta_o, phi); other samples count alike."""
+    measured = load(standins()).batch([6, 7]).within(80.0)
+    some = measured.batch(samples=torch.arange(0, len(measured.pairs), 7))
+    loss, pairs = LearnedLoss("none"), uniform_pairs(200_000, seed=3)
+    given = loss.problem(some)
+    assert given.weight is not None and given.weight.shape == (1, len(some.pairs), 1)
+    found = loss.error(given.target, given.target.flip(0), given.pairs, given.weight)
+    values = some.at(pairs)
+    expected = loss.error(values, values.flip(0), pairs.to(dtype=values.dtype))
+    torch.testing.assert_close(found, expected.double(), rtol=0.02, atol=0)
+    alike = loss.error(given.target, given.target.flip(0), given.pairs)
+    assert ((alike - expected).abs() > 0.03 * expected).all()
+    samples = Measured.from_samples(PAIRS, glossy(0.1)[None])
+    assert torch.equal(loss.problem(samples).weight, samples.weight)
+
+
+class OnBins(Made):
+    """A model in the place of a table."""
+
+    on_merl_bins = True
+
+
+def test_a_fit_finds_a_lobe_that_few_pairs_see() -> None:
+    """Of a roughness of .003, on a table's bins: they are dense where theta_h is small."""
+    table = load(standins()).batch([6]).pairs
+    truth = Sum(Lambert(albedo=[0.02, 0.02, 0.02]), Ward(specular=[0.3, 0.25, 0.2], roughness=0.003)).double()
+    measured = Measured(OnBins(truth, table.select(samples=torch.arange(0, len(table), 5)).to(dtype=torch.float64)))
+    result = fit(make_model("ward", lobes=1), measured, LearnedLoss(), diffuse="fit", samples=4000)
+    assert float(result.model.components()[1].roughness) == pytest.approx(0.003, rel=0.02)
+    assert float(result.error) < 0.01

@@ -77,7 +77,7 @@ class Comparison(NamedTuple):
         parts = [
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
-            ((one.logs - other.logs).abs() * self.even[..., None, :] * self.channel).sum((-2, -1)),
+            (safe_norm((one.logs - other.logs) * self.channel.sqrt(), -2) * self.even).sum(-1),
             self.bins.mean((one.values - other.values).abs()),
         ]
         return torch.stack(parts, -1)
@@ -93,20 +93,21 @@ class LearnedLoss(Loss):
 
         G(x) = mean_(h = 0, 5; k = 25, 50) log(l.<x>_hk + E) - mean_(h = 35, 70; k = 25, 50) log(l.<x>_hk + E)
         C(x) = mean_(h = 15, 35, 70; k) (<x>_hk + E)^(1/3)
-        D = w1 |G(x) - G(y)| + w2 c(C(x) - C(y)) + w3 mean_hkc |log(<x>_hkc + E) - log(<y>_hkc + E)|
-            + w4 mean_nc |log(x_nc + E) - log(y_nc + E)|
+        D = w1 |G(x) - G(y)| + w2 c(C(x) - C(y)) + w3 mean_hk sqrt(mean_c b_hkc^2)
+            + w4 mean_nc |log(x_nc + E) - log(y_nc + E)|,    b_hkc = log(<x>_hkc + E) - log(<y>_hkc + E)
 
     G is gloss, how far the lobe stands out from the body; C the colour beside the highlight. The constants that come
     with torchbrdf, by their names in `metric.json`:
 
-        w1  gloss      0.2872
-        w2  chroma     5.617
-        w3  bins       0.127
+        w1  gloss      0.2906
+        w2  chroma     5.431
+        w3  bins       0.1197
         w4  pointwise  0.1575
 
     An area light and the eye's blur average radiance before the eye compresses it: so do the bins. The first two terms
-    order what people see; errors would cancel within them, and the last two hold fits together: each bin and channel,
-    and within it each value. D is a sum of absolute differences of encodings: symmetric, 0 for equal values only, and
+    order what people see; errors would cancel within them, and the last two hold fits together: each bin, by the length
+    of its difference over channels (absolute ones of each channel gave fits whose highlights were tinted), and within
+    it each value. D is a sum of absolute differences of encodings: symmetric, 0 for equal values only, and
     obeys the triangle inequality; at equal values, where it has a cusp, its gradient is 0. Averages make it depend
     little on the choice of pairs, where their weights are passed. A bin without pairs adds nothing, and means over bins
     are those of the others.
