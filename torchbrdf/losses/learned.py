@@ -56,8 +56,7 @@ class Comparison(NamedTuple):
         bins: the pairs in their bins.
         gloss: of luminance, the lobe's mean less the body's, `(..., B)`; 0 where either has no bin with pairs.
         chroma: of color, its mean, `(..., B)`; its sum is 1, or 0 where no bin has pairs.
-        even: the share of bins in the mean of all that have pairs, `(..., B)`; its sum is 1.
-        channel: the share of channels in it, `(..., C, 1)`; its sum is 1.
+        even: the share of each channel of each bin in the mean of all that have pairs, `(..., C, B)`; its sum is 1.
         channel_luminance: the share of channels in luminance, `(..., 1, C)`.
         channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
             chroma, `(..., C, C)`.
@@ -67,7 +66,6 @@ class Comparison(NamedTuple):
     gloss: Tensor
     chroma: Tensor
     even: Tensor
-    channel: Tensor
     channel_luminance: Tensor
     channel_chroma: Tensor
 
@@ -77,8 +75,8 @@ class Comparison(NamedTuple):
         parts = [
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
-            ((one.logs - other.logs).abs() * self.even[..., None, :] * self.channel).sum((-2, -1)),
-            self.bins.mean((one.values - other.values).abs()),
+            ((one.logs - other.logs).abs() * self.even).sum((-2, -1)),
+            self.bins.mean_size(one.values - other.values),
         ]
         return torch.stack(parts, -1)
 
@@ -222,7 +220,9 @@ class LearnedLoss(Loss):
         found = self._kept_comparison.find(*key)
         if found is None:
             bins = sort_into_bins(pairs, weight, like)
-            found = Comparison(bins, *bin_shares(bins.present), *channel_shares(bins.total, like.shape[-1]))
+            gloss, chroma, even = bin_shares(bins.present)
+            each, *channels = channel_shares(bins.total, like.shape[-1])
+            found = Comparison(bins, gloss, chroma, each * even[..., None, :], *channels)
             if bins.shares.numel() <= CACHED:
                 self._kept_comparison.keep(found, *key, own=bins.mass)
         return found
@@ -246,8 +246,8 @@ class LearnedLoss(Loss):
         x = self.exposed(values, pairs)
         averages = comparison.bins.averages(x)
         logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
-        luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
         averages = averages + EPSILON
+        luminance = (comparison.channel_luminance @ averages)[..., 0, :].log()  # shares of luminance add up to 1
         return Encoded(logs, luminance, averages.log(), averages.pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
@@ -340,7 +340,7 @@ def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
 
 
 def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor]:
-    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`."""
+    """Each channel's share, `(..., C, 1)`, `channel_luminance` and `channel_chroma`, from its weight, `(..., 1|C)`."""
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
     luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
     luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]

@@ -59,13 +59,12 @@ class BinnedSums(Sums):
 
         bins = color.log() - self._own(target.logs)
         bin_slopes = (slopes / color[..., None]).flatten(1, 2).mT
-        even = (comparison.even[:, None] * comparison.channel).flatten(1)
 
         width = None if self.width is None else self.width[:, 0].double()  # (m, 1)
         for found, slope, weight, over in (
             (gloss[:, None, None], gloss_slopes[..., None, None], constants[0], width),
             (chroma, chroma_slopes.mT[..., None], constants[1], None if width is None else COLOR_WIDTH * width),
-            (bins.flatten(1)[:, None], bin_slopes[:, :, None], constants[2] * even, width),
+            (bins.flatten(1)[:, None], bin_slopes[:, :, None], constants[2] * comparison.even.flatten(1), width),
         ):
             parts = _size(found, slope, weight, over, self.curvature)
             value, gradient = value + parts[0], gradient + parts[1]
