@@ -78,7 +78,7 @@ class Comparison(NamedTuple):
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
             (safe_norm((one.logs - other.logs) * self.channel.sqrt(), -2) * self.even).sum(-1),
-            self.bins.mean((one.values - other.values).abs()),
+            self.bins.mean_size(one.values - other.values),
         ]
         return torch.stack(parts, -1)
 
@@ -248,8 +248,8 @@ class LearnedLoss(Loss):
         x = self.exposed(values, pairs)
         averages = comparison.bins.averages(x)
         logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
-        luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
         averages = averages + EPSILON
+        luminance = (comparison.channel_luminance @ averages)[..., 0, :].log()  # shares of luminance add up to 1
         return Encoded(logs, luminance, averages.log(), averages.pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
@@ -342,7 +342,7 @@ def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
 
 
 def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor]:
-    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`."""
+    """Each channel's share, `(..., C, 1)`, `channel_luminance` and `channel_chroma`, from its weight, `(..., 1|C)`."""
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
     luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
     luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
