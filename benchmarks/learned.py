@@ -42,7 +42,7 @@ def costs(kind, count, materials):
     generator = torch.Generator().manual_seed(0)
     one, other = (torch.rand(materials, count, 3, generator=generator) + 0.01 for _ in range(2))
     loss, weight = kind(reduction="none"), torch.ones(materials, count, 1)
-    calls = max(5, 1_200_000 // (count * materials))
+    calls = max(5, 600_000 // (count * materials))
     return (
         seconds(lambda: loss(one, other, pairs), calls),
         seconds(lambda: loss(one, other, pairs.select()), calls // 5 + 1),

@@ -111,6 +111,25 @@ def test_the_matrix_is_the_hessian_of_a_least_squares_loss_at_an_exact_fit(name,
     torch.testing.assert_close(matrix[0], torch.stack(columns), rtol=1e-3, atol=1e-5 * matrix.abs().max().item())
 
 
+@pytest.mark.parametrize("name", ["ward", "cook_torrance"])
+def test_the_matrix_of_the_learned_metric_is_the_hessian_of_it_rounded_at_an_exact_fit(name):
+    loss, model = LOSSES["learned"](), model_of(name, 2)
+    given = problem(2, True, True)
+    given = Problem(given.pairs, model(given.pairs).detach(), given.weight)
+    values, free, one = get_parameters(model), parametrization(model, "all"), torch.tensor([1])
+    width = torch.full((2,), 0.05, dtype=torch.float64)
+    bound = make_objective(model, given, loss).bind(free, values, width=width)
+    x = free.encode(values)[1:]
+    _, _, matrix = bound.quadratic_model(x, one)
+    columns = []
+    for k in range(x.shape[1]):
+        along = torch.zeros_like(x)
+        along[0, k] = 1e-5
+        ends = [bound.quadratic_model(x + sign * along, one)[1][0] for sign in (1, -1)]
+        columns.append((ends[0] - ends[1]) / 2e-5)
+    torch.testing.assert_close(matrix[0], torch.stack(columns), rtol=1e-3, atol=1e-5 * matrix.abs().max().item())
+
+
 @pytest.mark.parametrize("name", COLORED)
 def test_closed_derivatives_are_forward_modes(name):
     """What a lobe says of itself, beside what `Lobe` works out for any lobe."""

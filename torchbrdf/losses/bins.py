@@ -67,7 +67,7 @@ class Bins(NamedTuple):
         """The weighted mean of the magnitude of values `(..., N, C)` over pairs and channels, `(...)`, float64."""
         count, channels = values.shape[-2:]
         if self.weight is None:
-            return torch.linalg.vector_norm(values, 1, (-2, -1)).double() / (count * channels)
+            return values.abs().sum((-2, -1)).double() / (count * channels)
         each = self.total.mean(-1) * channels
         return (values.abs() * self.weight).sum((-2, -1)).double() / each
 
