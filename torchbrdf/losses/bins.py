@@ -63,13 +63,13 @@ class Bins(NamedTuple):
         weighed = values if self.weight is None else values * self.weight
         return product(weighed, self.shares) / self.mass
 
-    def mean(self, values: Tensor) -> Tensor:
-        """The weighted mean of values `(..., N, C)` over pairs and channels, `(...)`, float64."""
+    def mean_size(self, values: Tensor) -> Tensor:
+        """The weighted mean of the magnitude of values `(..., N, C)` over pairs and channels, `(...)`, float64."""
         count, channels = values.shape[-2:]
         if self.weight is None:
-            return values.sum((-2, -1)).double() / (count * channels)
+            return torch.linalg.vector_norm(values, 1, (-2, -1)).double() / (count * channels)
         each = self.total.mean(-1) * channels
-        return (values * self.weight).sum((-2, -1)).double() / each
+        return (values.abs() * self.weight).sum((-2, -1)).double() / each
 
 
 def product(values: Tensor, shares: Tensor) -> Tensor:

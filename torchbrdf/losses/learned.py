@@ -57,7 +57,7 @@ class Comparison(NamedTuple):
         gloss: of luminance, the lobe's mean less the body's, `(..., B)`; 0 where either has no bin with pairs.
         chroma: of color, its mean, `(..., B)`; its sum is 1, or 0 where no bin has pairs.
         even: the share of bins in the mean of all that have pairs, `(..., B)`; its sum is 1.
-        channel: the share of channels in it, `(..., C, 1)`; its sum is 1.
+        channel: the root of the share of channels in the length of a bin's difference, `(..., C, 1)`.
         channel_luminance: the share of channels in luminance, `(..., 1, C)`.
         channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
             chroma, `(..., C, C)`.
@@ -77,8 +77,8 @@ class Comparison(NamedTuple):
         parts = [
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
-            (safe_norm((one.logs - other.logs) * self.channel.sqrt(), -2) * self.even).sum(-1),
-            self.bins.mean((one.values - other.values).abs()),
+            (safe_norm((one.logs - other.logs) * self.channel, -2) * self.even).sum(-1),
+            self.bins.mean_size(one.values - other.values),
         ]
         return torch.stack(parts, -1)
 
@@ -248,8 +248,8 @@ class LearnedLoss(Loss):
         x = self.exposed(values, pairs)
         averages = comparison.bins.averages(x)
         logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
-        luminance = ((comparison.channel_luminance @ averages)[..., 0, :] + EPSILON).log()
         averages = averages + EPSILON
+        luminance = (comparison.channel_luminance @ averages)[..., 0, :].log()  # shares of luminance add up to 1
         return Encoded(logs, luminance, averages.log(), averages.pow(1 / 3))
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
@@ -346,6 +346,6 @@ def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
     luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
     luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
-    even = (share / share.sum(-1, keepdim=True))[..., None]
+    root = (share / share.sum(-1, keepdim=True)).sqrt()[..., None]
     one = torch.eye(channels, dtype=share.dtype, device=share.device)
-    return even, luminance, even.sqrt() * (one - luminance)
+    return root, luminance, root * (one - luminance)
