@@ -98,6 +98,17 @@ def test_what_each_term_sees() -> None:
     assert single > 0.15 and max(gloss, bins) < 0.1
 
 
+def test_a_bin_is_compared_by_the_length_over_channels() -> None:
+    """Not channel by channel, which let fits end at another median in each, with a tinted highlight."""
+    grey = glossy(0.1)[:, 1:2].expand(-1, 3)
+
+    def bins(*factors: float) -> float:
+        return float(LearnedLoss().terms(grey * torch.tensor(factors), grey, PAIRS)[2])
+
+    assert bins(1.3, 1.0, 1.0) == pytest.approx(bins(1.3, 1.3, 1.3) / 3**0.5, rel=1e-9)
+    assert bins(1.3, 1.3, 1.0) == pytest.approx(bins(1.3, 1.3, 1.3) * (2 / 3) ** 0.5, rel=1e-9)
+
+
 def test_the_docstring_has_the_constants_that_come_with_it() -> None:
     said = dict(re.findall(r"w\d  (\w+) +([\d.]+)", LearnedLoss.__doc__ or ""))
     assert {name: float(value) for name, value in said.items()} == read_metric(None)["constants"]

@@ -57,7 +57,7 @@ class Comparison(NamedTuple):
         gloss: of luminance, the lobe's mean less the body's, `(..., B)`; 0 where either has no bin with pairs.
         chroma: of color, its mean, `(..., B)`; its sum is 1, or 0 where no bin has pairs.
         even: the share of bins in the mean of all that have pairs, `(..., B)`; its sum is 1.
-        channel: the share of channels in it, `(..., C, 1)`; its sum is 1.
+        channel: the root of the share of channels in the length of a bin's difference, `(..., C, 1)`.
         channel_luminance: the share of channels in luminance, `(..., 1, C)`.
         channel_chroma: the matrix that takes the luminance from a colour, so that the length of what is left is its
             chroma, `(..., C, C)`.
@@ -77,7 +77,7 @@ class Comparison(NamedTuple):
         parts = [
             ((one.luminance - other.luminance) * self.gloss).sum(-1).abs(),
             safe_norm(chroma, -1),
-            (safe_norm((one.logs - other.logs) * self.channel.sqrt(), -2) * self.even).sum(-1),
+            (safe_norm((one.logs - other.logs) * self.channel, -2) * self.even).sum(-1),
             self.bins.mean_size(one.values - other.values),
         ]
         return torch.stack(parts, -1)
@@ -342,10 +342,10 @@ def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
 
 
 def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Each channel's share, `(..., C, 1)`, `channel_luminance` and `channel_chroma`, from its weight, `(..., 1|C)`."""
+    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`."""
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
     luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
     luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
-    even = (share / share.sum(-1, keepdim=True))[..., None]
+    root = (share / share.sum(-1, keepdim=True)).sqrt()[..., None]
     one = torch.eye(channels, dtype=share.dtype, device=share.device)
-    return even, luminance, even.sqrt() * (one - luminance)
+    return root, luminance, root * (one - luminance)

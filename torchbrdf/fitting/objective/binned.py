@@ -58,8 +58,8 @@ class BinnedSums(Sums):
         chroma_slopes = comparison.channel_chroma @ root_slopes.sum(2)
 
         bins = color.log() - self._own(target.logs)
-        bins = bins * comparison.channel.sqrt()
-        bin_slopes = ((slopes / color[..., None]) * comparison.channel.sqrt()[..., None]).movedim(-1, 1)
+        bins = bins * comparison.channel
+        bin_slopes = ((slopes / color[..., None]) * comparison.channel[..., None]).movedim(-1, 1)
 
         width = None if self.width is None else self.width[:, 0].double()  # (m, 1)
         for found, slope, weight, over in (
