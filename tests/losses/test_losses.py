@@ -48,7 +48,7 @@ def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array
     w1, w2, w3, w4 = json.loads((files("torchbrdf.assets") / "learned_metric.json").read_text())["constants"].values()
     x, y, light = np.maximum(p, 0) * cos, np.maximum(t, 0) * cos, np.array([0.2126, 0.7152, 0.0722])
     centres_h, centres_d = [0, 5, 15, 35, 70], [25, 50, 75]
-    a, b, e = np.full((5, 3), np.nan), np.full((5, 3, 3), np.nan), np.full((5, 3, 3), np.nan)
+    a, b, e = np.full((5, 3), np.nan), np.full((5, 3), np.nan), np.full((5, 3, 3), np.nan)
     for h in range(5):
         for k in range(3):
             high = np.interp(np.degrees(theta_h), centres_h, np.eye(5)[h])
@@ -57,7 +57,7 @@ def plain_learned(p: Array, t: Array, cos: Array, theta_h: Array, theta_d: Array
                 continue
             one, other = (np.average(z, 0, weight * high * wide) for z in (x, y))
             a[h, k] = np.log(light @ one + 1e-3) - np.log(light @ other + 1e-3)
-            b[h, k] = np.abs(np.log(one + 1e-3) - np.log(other + 1e-3))
+            b[h, k] = np.sqrt(np.mean((np.log(one + 1e-3) - np.log(other + 1e-3)) ** 2))
             e[h, k] = np.cbrt(one + 1e-3) - np.cbrt(other + 1e-3)
     gloss = [
         np.nanmean(a[:2, k]) - np.nanmean(a[3:, k])
