@@ -5,12 +5,12 @@ import math
 import torch
 
 from torchbrdf.fitting.initialization import from_unit
-from torchbrdf.lobes import LOBES, Lambert, make_model
+from torchbrdf.lobes import LOBES, make_model
 from torchbrdf.measured import Lookup, Measured, Samples
 from torchbrdf.pairs import Pairs
 
 # Every registered lobe whose value is a colour times a scalar function.
-COLORED = [name for name, lobe in LOBES.items() if lobe.albedo_spec() is not None and lobe is not Lambert]
+COLORED = [name for name, lobe in LOBES.items() if lobe.albedo_spec() is not None and not lobe.is_diffuse]
 # Shapes of a sharp and a broad lobe; of other lobes a place within their bounds.
 SHAPES = {
     "ward": ("roughness", 0.03, 0.3),

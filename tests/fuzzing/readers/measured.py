@@ -43,11 +43,10 @@ def use_measured(path: Path) -> None:
 
 
 def records() -> list[FitRecord]:
-    """A fit with every lobe."""
+    """A fit with every lobe, diffuse terms beside Ward's."""
     found = []
-    for k, name in enumerate(LOBES):
-        if name == "lambert":
-            continue
+    for k, kind in enumerate(LOBES):
+        name = f"{kind}+ward" if LOBES[kind].is_diffuse else kind
         found.append(
             FitRecord(
                 f"material-{k}", name, 1, parameters(make_model(name, 1)), loss="rms", strategy="global", error=0.01,

@@ -149,7 +149,7 @@ def use_asked(path: Path) -> None:
     losses = {"rms": make_loss("rms", "none")}
     run, pairs = path.parent, uniform_pairs(60).to(dtype=torch.float32)
     found = study_data(run, run / "answers.csv", pairs, losses)
-    check_finite(found.training_set.features, "features")
+    check_finite(found.training_set.terms, "terms")
 
 
 @dataclasses.dataclass(frozen=True)
