@@ -375,3 +375,33 @@ def test_a_fit_finds_a_lobe_that_few_pairs_see() -> None:
     result = fit(make_model("ward", lobes=1), measured, LearnedLoss(), diffuse="fit", samples=4000)
     assert result.model.components()[1].roughness.item() == pytest.approx(0.003, rel=0.02)
     assert float(result.error) < 0.01
+
+
+@pytest.mark.parametrize("write", ["numpy", "data", "replaced data", "torch"])
+@pytest.mark.parametrize("what", ["target", "weight"])
+def test_what_is_kept_follows_what_is_written_past_torch(write: str, what: str) -> None:
+    """As a buffer that is filled again for every batch is."""
+    generator = torch.Generator().manual_seed(0)
+    pairs = Pairs.from_half_diff(*torch.rand(3, 200, generator=generator))
+    values = {name: torch.rand(200, size, generator=generator) for name, size in (("target", 3), ("weight", 1))}
+    prediction, loss = torch.rand(200, 3, generator=generator), LearnedLoss()
+    before = loss(prediction, values["target"], pairs, values["weight"])
+    changed = values[what].square()
+    if write == "numpy":
+        values[what].numpy()[...] = changed.numpy()
+    elif write == "data":
+        values[what].data.copy_(changed)
+    elif write == "replaced data":
+        values[what].data = changed
+    else:
+        values[what].copy_(changed)
+    after = loss(prediction, values["target"], pairs, values["weight"])
+    assert after == LearnedLoss()(prediction, values["target"], pairs, values["weight"]) != before
+
+
+def test_weights_have_gradients() -> None:
+    generator = torch.Generator().manual_seed(0)
+    pairs = Pairs.from_half_diff(*torch.rand(3, 60, generator=generator, dtype=torch.float64))
+    one, other = torch.rand(2, 60, 3, generator=generator, dtype=torch.float64)
+    weight = torch.rand(60, 1, generator=generator, dtype=torch.float64).add_(0.1).requires_grad_()
+    assert torch.autograd.gradcheck(lambda given: LearnedLoss()(one, other, pairs, given), weight)

@@ -476,3 +476,12 @@ def test_in_a_training_loop(name: str, dtype: torch.dtype) -> None:
         schedule.step()
     torch.testing.assert_close(lobe.specular.detach(), torch.tensor([0.2, 0.4, 0.6], dtype=dtype), rtol=0, atol=5e-3)
     assert lobe.roughness.item() == pytest.approx(0.2, abs=2e-3)
+
+
+@every_loss
+def test_whole_numbers_are_refused(name: str) -> None:
+    """They would be rounded without a word."""
+    pairs, whole = Pairs.from_half_diff(*torch.full((3, 5), 0.5)), torch.ones(5, 3, dtype=torch.int64)
+    for values in ((whole, whole), (whole.float(), whole)):
+        with pytest.raises(ShapeError, match=r"expected values of floats, found torch\.int64"):
+            LOSSES[name]()(*values, pairs)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Say how often metrics order materials, and approximations of them, as people do: the open table of BRDF metrics.
 
-  torchbrdf score --materials MERL/ --human HUMAN/
-  torchbrdf score --materials MERL/ --human HUMAN/ --metric my_metrics:distance --metric cube_root
+  torchbrdf score --materials MERL/ --human HUMAN/ --fits published_fits.json
+  torchbrdf score --materials MERL/ --human HUMAN/ --fits published_fits.json --metric my_metrics:distance
   torchbrdf score --quick --metric my_metrics.py:distance          made-up answers, to see that it works
 
 A metric is the name of a registered loss, or a function or a module of your own, module:name or file.py:name: it is

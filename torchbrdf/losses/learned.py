@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, UsageError, shown
-from torchbrdf.losses.base import LOSSES, Loss, version
+from torchbrdf.losses.base import LOSSES, Loss, fingerprint
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
 from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
@@ -205,7 +205,7 @@ class LearnedLoss(Loss):
             prediction, target = prediction.to(like), target.to(like)
             comparison = self.comparison(pairs, weight, target)
             one = self.encoded(prediction, pairs, comparison)
-            key = (target, pairs, comparison.bins.shares, comparison.bins.weight)
+            key = (target, pairs, weight)
             other = self._kept_target.find(*key)
             if other is None:
                 other = self.encoded(target, pairs, comparison)
@@ -247,7 +247,7 @@ class LearnedLoss(Loss):
         """What is compared of values `(..., N, C)`."""
         x = self.exposed(values, pairs)
         averages = comparison.bins.averages(x)
-        logs = (x + EPSILON).log() if x.requires_grad else x.add_(EPSILON).log_()
+        logs = (x + EPSILON).log() if averages.requires_grad else x.add_(EPSILON).log_()
         averages = averages + EPSILON
         luminance = (comparison.channel_luminance @ averages)[..., 0, :].log()  # shares of luminance add up to 1
         return Encoded(logs, luminance, averages.log(), averages.pow(1 / 3))
@@ -268,7 +268,7 @@ class _Kept(Generic[Made]):
     """What was made last of some tensors and other things, for when the same ones come again, unchanged."""
 
     def __init__(self) -> None:
-        self._kept: tuple[tuple[Any, ...], list[int], Made] | None = None
+        self._kept: tuple[tuple[Any, ...], list[tuple[int, float]], Made] | None = None
 
     def find(self, *key: Any) -> Made | None:
         """What was made of these, if they were the last."""
@@ -289,8 +289,8 @@ class _Kept(Generic[Made]):
         return made
 
 
-def _versions(key: tuple[Any, ...]) -> list[int]:
-    return [version(x) for x in key if isinstance(x, Tensor)]
+def _versions(key: tuple[Any, ...]) -> list[tuple[int, float]]:
+    return [fingerprint(x) for x in key if isinstance(x, Tensor)]
 
 
 def cosines(pairs: Pairs | None) -> Tensor:

@@ -131,7 +131,9 @@ def write_sheet(
             picture = to_bytes(composite(torch.from_numpy(shown), coverage))
             axes.imshow(picture, extent=(cell.column + GAP, cell.column + 1 - GAP, top + 1 - 2 * GAP, top))
             said = _mean(delta_e[k]) if cell.is_map else _title(items[k])
-            axes.text(cell.column + 0.5, top - GAP, said, fontsize=size, ha="center", va="bottom")
+            # Three lines are as high as the room for them, at 72 points an inch.
+            fitting = min(size, 72 * (TITLE - GAP * side) / (1.25 * (1 + said.count("\n"))))
+            axes.text(cell.column + 0.5, top - GAP, said, fontsize=fitting, ha="center", va="bottom")
         axes.set(xlim=(0, across), ylim=(height / side, 0), aspect="auto")  # which imshow changed
         if fits:
             tall = min(height - TITLE, 4 * SIDE)

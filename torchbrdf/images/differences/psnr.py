@@ -1,5 +1,6 @@
 """Peak signal to noise ratio."""
 
+import torch
 from torch import Tensor
 
 from torchbrdf.images.differences.base import DIFFERENCES, PixelDifference
@@ -30,7 +31,9 @@ class PSNR(PixelDifference):
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """Over all channels. kornia's pools a batch and knows no mask."""
-        return -10 * self.objective(image, reference, mask).log10()
+        error = self.objective(image, reference, mask)
+        # Equal pictures are infinitely alike, with gradient 0.
+        return torch.where(error == 0, torch.inf, -10 * torch.where(error == 0, 1, error).log10())
 
 
 def psnr(

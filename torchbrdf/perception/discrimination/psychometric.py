@@ -166,7 +166,12 @@ class Discrimination:
         return Share(value, min(low, value), max(high, value), asked=self.lowest <= distance <= self.highest)
 
     def distance(self, share: float) -> float:
-        """The distance at which such a share, above 0 and below 1, would be expected to tell two things apart."""
+        """The distance at which such a share, above 0 and below 1, would be expected to tell two things apart.
+
+        Raises:
+            UsageError: The share is another.
+        """
+        _check_share(share)
         low, high = -60.0, 60.0
         for _ in range(80):
             middle = (low + high) / 2
@@ -215,7 +220,12 @@ class JustObjectionable:
         return Share(value, value, value)
 
     def distance(self, share: float) -> float:
-        """How many JOD such a share, above 0 and below 1, would see."""
+        """How many JOD such a share, above 0 and below 1, would see.
+
+        Raises:
+            UsageError: The share is another.
+        """
+        _check_share(share)
         return NORMAL.inv_cdf((1 + share) / 2) / JOD
 
 
@@ -278,6 +288,11 @@ def told_apart(metric: str, distance: float) -> Share | None:
     """
     known = discrimination_of(metric)
     return None if known is None else known.share(distance)
+
+
+def _check_share(share: float) -> None:
+    if not 0 < share < 1:
+        raise UsageError(f"a share of observers: expected a number above 0 and below 1, found {share:g}")
 
 
 def _told_apart(perceived: float) -> float:
