@@ -99,7 +99,7 @@ def test_an_image_difference_is_a_loss(installed: dict[str, str], paint: Path, t
 def test_a_recipe_runs(installed: dict[str, str], tmp_path: Path) -> None:
     done = torchbrdf(installed, "run", "myrecipe", "quick=true", "--out", tmp_path / "run")
     assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "run" / "report.txt").read_text() == "lobes: abc, ashikhmin_shirley, blinn_phong\n"
+    assert (tmp_path / "run" / "report.txt").read_text() == "lobes: abc, ashikhmin_shirley, beckmann\n"
     assert json.loads((tmp_path / "run" / "recipe.json").read_text())["settings"]["quick"] is True
 
 

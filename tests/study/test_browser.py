@@ -364,6 +364,7 @@ def test_a_server_that_is_away(page, link, folder):
 def test_a_busy_server(page, link, folder):
     start(page, link)
     page.route("**/answer", lambda route: route.fulfill(status=503, headers={"Retry-After": "2"}, body="{}"), times=1)
+    page.wait_for_timeout(300)  # a key that comes with the pictures may come before them
     began = time.monotonic()
     page.keyboard.press("ArrowRight")
     page.get_by_text("The server is busy. Nothing is lost; trying again").wait_for()

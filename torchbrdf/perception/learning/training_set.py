@@ -12,6 +12,7 @@ from torchbrdf.perception.agreement.scores import BenchmarkData, EvaluatedBrdfs
 from torchbrdf.perception.agreement.statistics import DistanceComparisons, across_materials, majorities, same_material
 from torchbrdf.perception.datasets.opinions import Opinions
 from torchbrdf.perception.datasets.triplets import Triplets
+from torchbrdf.precision import undisturbed
 
 # How far, beside their standard errors, mean opinions may be from what a distance can know.
 UNKNOWN = 0.03
@@ -67,6 +68,7 @@ class TrainingSet:
         return between if bool(between.any()) else ~between
 
 
+@undisturbed()
 def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Collection[str] = ()) -> TrainingSet:
     """Make a training set of triplets and opinions, without the opinions of some methods."""
     names, every = data.names, data.opinions
@@ -102,6 +104,7 @@ def make_training_set(data: BenchmarkData, brdfs: EvaluatedBrdfs, leave_out: Col
     )
 
 
+@undisturbed()
 def training_set_from_choices(
     names: list[str], stimuli: list[str], brdfs: EvaluatedBrdfs, pairs: Tensor, votes: Tensor
 ) -> TrainingSet:
@@ -142,6 +145,7 @@ def terms_of(brdfs: EvaluatedBrdfs, values: Tensor, first: Tensor, second: Tenso
         return torch.cat([loss.terms(values[i], brdfs.materials[j], brdfs.pairs) for i, j in parts])
 
 
+@undisturbed()
 def merge_training_sets(training_sets: list[TrainingSet]) -> TrainingSet:
     """Merge training sets into one; parts of one name become one, and materials of one name are the same.
 
