@@ -405,3 +405,12 @@ def test_weights_have_gradients() -> None:
     one, other = torch.rand(2, 60, 3, generator=generator, dtype=torch.float64)
     weight = torch.rand(60, 1, generator=generator, dtype=torch.float64).add_(0.1).requires_grad_()
     assert torch.autograd.gradcheck(lambda given: LearnedLoss()(one, other, pairs, given), weight)
+
+
+def test_what_is_kept_is_of_the_scale() -> None:
+    pairs = Pairs.from_half_diff(*torch.rand(3, 50, generator=torch.Generator().manual_seed(0)))
+    one, other = torch.rand(2, 50, 3, generator=torch.Generator().manual_seed(1))
+    loss = LearnedLoss()
+    loss(one, other, pairs)
+    loss.scale = 3.0
+    assert loss(one, other, pairs) == LearnedLoss(scale=3.0)(one, other, pairs)

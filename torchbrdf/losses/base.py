@@ -1,9 +1,6 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
 import inspect
-import math
-from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import torch
@@ -11,6 +8,7 @@ from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
+from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import widened
@@ -75,8 +73,6 @@ class Loss(nn.Module):
     is_root: bool = True
     """Whether the error is the square root of what a fit minimises."""
 
-    _encoded_target: tuple[Tensor, tuple[int, float], Pairs | None, Tensor] | None = None
-
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         own = vars(cls)
@@ -91,6 +87,7 @@ class Loss(nn.Module):
         super().__init__()
         check_reduction(self, reduction)
         self.reduction = reduction
+        self._kept_target: Kept[Any] = Kept()  # what is compared of the last target
 
     @property
     def registered_name(self) -> str:
@@ -205,19 +202,6 @@ class Loss(nn.Module):
         """The part of a problem that has only some of the measured pairs, by index."""
         return problem.select(samples=samples)
 
-    def _cached_target(self, target: Tensor, pairs: Pairs | None, make: Callable[[], Tensor]) -> Tensor:
-        """What make() encodes of a target, kept for when the same tensor comes again.
-
-        Unchanged and on the same pairs, as it does in every step of a fit.
-        """
-        if torch.compiler.is_compiling() or target.requires_grad or target.is_inference():
-            return make()
-        kept = self._encoded_target
-        now = fingerprint(target)
-        if kept is None or kept[0] is not target or kept[1] != now or kept[2] is not pairs:
-            kept = self._encoded_target = target, now, pairs, make()
-        return kept[3]
-
     def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
         """Values of half precision in float32."""
         return widened(prediction), widened(target), pairs.widened() if self.needs and pairs is not None else pairs
@@ -230,7 +214,7 @@ class Loss(nn.Module):
         return ", ".join(f"{name}={value!r}" for name, value in given if value != defaults[name])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "_encoded_target": None}  # copies and other processes have other targets
+        return {**super().__getstate__(), "_kept_target": Kept()}  # copies and other processes have other targets
 
     def _check(self, prediction: Tensor, target: Tensor, pairs: Pairs | None, weight: Tensor | None) -> None:
         name = type(self).__name__
@@ -267,30 +251,6 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
     weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
     total = (values * weight).sum((-2, -1), dtype=torch.float64)
     return total / weight.sum((-2, -1), dtype=torch.float64)
-
-
-def fingerprint(x: Tensor) -> tuple[int, float]:
-    """Changes with the tensor's content, also where that is written to past torch, as through numpy or `data`.
-
-    A weighted sum in one pass, whose weights differ from place to place; nan, which equals nothing, of tensors whose
-    values cannot be read: those of the meta device, or within `torch.func.vmap`.
-    """
-    if x.is_meta or torch._C._functorch.is_functorch_wrapped_tensor(x):
-        return version(x), math.nan
-    flat = x.detach().reshape(-1)
-    flat = flat if flat.dtype in (torch.float32, torch.float64) else flat.float()
-    return version(x), float(flat @ _ramp(len(flat), flat.dtype, flat.device))
-
-
-@lru_cache(maxsize=4)
-def _ramp(count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Weights between 1 and 2, no two near each other alike."""
-    return torch.frac(torch.arange(count, dtype=torch.float64, device=device) * 0.6180339887498949).add(1).to(dtype)
-
-
-def version(x: Tensor) -> int:
-    """Changes with the tensor's content; those of inference mode have none, and cannot change outside it."""
-    return -1 if torch.compiler.is_compiling() or x.is_inference() else x._version
 
 
 def _shapes(prediction: Tensor, target: Tensor) -> str:

@@ -80,5 +80,8 @@ class ImageLoss(Loss):
             raise ShapeError(f"{type(self).__name__}: expected no weights, found {(*weight.shape,)}")
         prediction, target, _ = self._widened(prediction, target, None)
         with without_autocast(prediction.device.type):
-            observed_target = self._cached_target(target, None, lambda: self.observe(target))
+            observed_target = self._kept_target.find(target)
+            if observed_target is None:
+                observed_target = self.observe(target)
+                self._kept_target.keep(observed_target, target, own=observed_target)
             return self.finalize(self.compare(self.observe(prediction), observed_target))

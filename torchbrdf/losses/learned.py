@@ -3,15 +3,16 @@
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
 from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, UsageError, shown
-from torchbrdf.losses.base import LOSSES, Loss, fingerprint
+from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
+from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.losses.solid_angle import solid_angle
@@ -24,7 +25,6 @@ LOBE, BODY, COLOR = slice(0, 2), slice(3, 5), slice(2, 5)
 """Bins of theta_h: those of the lobe and of the body, whose contrast is gloss, and those whose colours count."""
 GLOSS_THETA_D_BINS = 2
 """In how many bins of theta_d, from the first on: highlights at grazing angles say little about gloss."""
-Made = TypeVar("Made")
 # Degrees from the normal within which a direction is as likely as there: half the width of one of MERL's bins.
 HALF_BIN = 0.5
 # Numbers of shares that are kept for the next call with the same pairs.
@@ -162,8 +162,7 @@ class LearnedLoss(Loss):
         self.constants: Tensor
         own = [data["constants"][name] for name in CONSTANTS]
         self.register_buffer("constants", torch.tensor(own, dtype=torch.float64, device="cpu"))
-        self._kept_comparison: _Kept[Comparison] = _Kept()
-        self._kept_target: _Kept[Encoded] = _Kept()
+        self._kept_comparison: Kept[Comparison] = Kept()
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """log(x + EPSILON), what is compared of single values."""
@@ -205,8 +204,8 @@ class LearnedLoss(Loss):
             prediction, target = prediction.to(like), target.to(like)
             comparison = self.comparison(pairs, weight, target)
             one = self.encoded(prediction, pairs, comparison)
-            key = (target, pairs, weight)
-            other = self._kept_target.find(*key)
+            key = (target, pairs, weight, self.scale)
+            other: Encoded | None = self._kept_target.find(*key)
             if other is None:
                 other = self.encoded(target, pairs, comparison)
                 self._kept_target.keep(other, *key, own=other.color)
@@ -260,37 +259,8 @@ class LearnedLoss(Loss):
         return self
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and other processes have other pairs and targets."""
-        return {**super().__getstate__(), "_kept_comparison": _Kept(), "_kept_target": _Kept()}
-
-
-class _Kept(Generic[Made]):
-    """What was made last of some tensors and other things, for when the same ones come again, unchanged."""
-
-    def __init__(self) -> None:
-        self._kept: tuple[tuple[Any, ...], list[tuple[int, float]], Made] | None = None
-
-    def find(self, *key: Any) -> Made | None:
-        """What was made of these, if they were the last."""
-        if torch.compiler.is_compiling() or self._kept is None:
-            return None
-        former, versions, made = self._kept
-        same = len(former) == len(key) and all(
-            one is other or (not isinstance(one, Tensor | Pairs) and one == other)
-            for one, other in zip(former, key, strict=True)
-        )
-        return made if same and versions == _versions(key) else None
-
-    def keep(self, made: Made, *key: Any, own: Tensor) -> Made:
-        """Keep what was made, unless its tensor `own` has a graph or is of inference mode."""
-        tensors = [own, *(x for x in key if isinstance(x, Tensor))]
-        if not torch.compiler.is_compiling() and not any(x.requires_grad or x.is_inference() for x in tensors):
-            self._kept = key, _versions(key), made
-        return made
-
-
-def _versions(key: tuple[Any, ...]) -> list[tuple[int, float]]:
-    return [fingerprint(x) for x in key if isinstance(x, Tensor)]
+        """Copies and other processes have other pairs."""
+        return {**super().__getstate__(), "_kept_comparison": Kept()}
 
 
 def cosines(pairs: Pairs | None) -> Tensor:
