@@ -51,6 +51,15 @@ def clamped_exp(exponent: Tensor) -> Tensor:
     return exponent.clamp_min(math.log(torch.finfo(exponent.dtype).tiny) + 7).exp()
 
 
+def beckmann_exponential(pairs: Pairs, inverse: Tensor) -> Tensor:
+    """exp(-tan2_h / w^2) / cos_h^4, `(..., N)`; inverse: 1 / w^2.
+
+    cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
+    """
+    secants = pairs.cached(beckmann_exponential, lambda: 2 * log_secant(pairs))
+    return clamped_exp(torch.addcmul(secants, tangent(pairs), -inverse))
+
+
 def log_beckmann_derivative(pairs: Pairs, width: Tensor) -> Tensor:
     """Derivative of log(exp(-tan2_h / w^2) / w^2) by w: 2 tan2_h / w^3 - 2 / w."""
     return torch.add(-2 / width, tangent(pairs) * (2 / width**3))

@@ -39,39 +39,25 @@ def _ggx_terms(pairs: Pairs, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor,
     return cos_i, cos_o, (square + rest * cos_i.square()).sqrt(), (square + rest * cos_o.square()).sqrt()
 
 
-def beckmann_visibility(pairs: Pairs, roughness: Tensor) -> Tensor:
-    """G / (4 cos_i cos_o) of Beckmann's distribution: 1 / (4 (cos_i cos_o + cos_i l_o + cos_o l_i)), l = cos Lambda.
+def beckmann_visibility_and_log_derivative(pairs: Pairs, roughness: Tensor) -> tuple[Tensor, Tensor]:
+    """G / (4 cos_i cos_o) of Beckmann's distribution, and the derivative of its logarithm by m.
 
-    2 Lambda = exp(-v^2) / (v sqrt(pi)) - erfc(v), v = cos / (m sin).
+    That is 1 / (4 (cos_i cos_o + cos_i l_o + cos_o l_i)), l = cos Lambda, 2 Lambda = exp(-v^2) / (v sqrt(pi)) -
+    erfc(v), v = cos / (m sin); the derivative of l is sin exp(-v^2) / (2 sqrt(pi)).
     """
-    return safe_ratio(0.25, _beckmann_sum(pairs, roughness))
-
-
-def beckmann_log_visibility_derivative(pairs: Pairs, roughness: Tensor) -> Tensor:
-    """Derivative of the logarithm by m; that of l is sin exp(-v^2) / (2 sqrt(pi))."""
     cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-    slope = cos_i * _beckmann_slope(cos_o, roughness) + cos_o * _beckmann_slope(cos_i, roughness)
-    return -slope / _beckmann_sum(pairs, roughness)
+    masked_i, slope_i = _beckmann_masked(cos_i, roughness)
+    masked_o, slope_o = _beckmann_masked(cos_o, roughness)
+    total = cos_i * cos_o + cos_i * masked_o + cos_o * masked_i
+    return safe_ratio(0.25, total), -(cos_i * slope_o + cos_o * slope_i) / total
 
 
-def _beckmann_sum(pairs: Pairs, roughness: Tensor) -> Tensor:
-    cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-    return cos_i * cos_o + cos_i * _beckmann_masked(cos_o, roughness) + cos_o * _beckmann_masked(cos_i, roughness)
-
-
-def _beckmann_masked(cosine: Tensor, roughness: Tensor) -> Tensor:
-    """cos Lambda, which is finite at grazing directions, and 0 for those along the normal."""
-    sine, v = _beckmann_terms(cosine, roughness)
-    return 0.5 * ((-v.square()).exp() * sine * (roughness / math.sqrt(math.pi)) - cosine * torch.special.erfc(v))
-
-
-def _beckmann_slope(cosine: Tensor, roughness: Tensor) -> Tensor:
-    sine, v = _beckmann_terms(cosine, roughness)
-    return sine * (-v.square()).exp() / (2 * math.sqrt(math.pi))
-
-
-def _beckmann_terms(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
-    """The sine, and v = cos / (m sin), at most 9, beyond which exp(-v^2) and erfc(v) are nothing."""
-    # Where the sine is 0 so is everything; a small one keeps quotient and gradient finite.
+def _beckmann_masked(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
+    """cos Lambda, which is finite at grazing directions, and 0 for those along the normal; its derivative by m."""
+    # Where the sine is 0 so is everything; a small one keeps quotient and gradient finite. Beyond v = 9 exp(-v^2) and
+    # erfc(v) are nothing.
     sine = (1 - cosine.square()).clamp_min(1e-12).sqrt()
-    return sine, (cosine / (roughness * sine)).clamp_max(9)
+    v = (cosine / (roughness * sine)).clamp_max(9)
+    tail = (-v.square()).exp() * sine
+    masked = 0.5 * (tail * (roughness / math.sqrt(math.pi)) - cosine * torch.special.erfc(v))
+    return masked, tail / (2 * math.sqrt(math.pi))

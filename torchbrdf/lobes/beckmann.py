@@ -2,11 +2,14 @@
 
 import math
 
-import torch
 from torch import Tensor
 
-from torchbrdf.lobes._microfacet import apply_albedo, clamped_exp, log_beckmann_derivative, log_secant, tangent
-from torchbrdf.lobes._smith import beckmann_log_visibility_derivative, beckmann_visibility
+from torchbrdf.lobes._microfacet import (
+    apply_albedo,
+    beckmann_exponential,
+    log_beckmann_derivative,
+)
+from torchbrdf.lobes._smith import beckmann_visibility_and_log_derivative
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
@@ -44,14 +47,14 @@ def beckmann(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor) -> T
         >>> beckmann(pairs, colour, torch.tensor([0.1]), torch.tensor([0.3]))
         tensor([[0.0046, 0.0092, 0.0138]])
     """
-    return apply_albedo(pairs, _facets(pairs, roughness) * fresnel(f0, pairs), specular)
+    visibility, _ = beckmann_visibility_and_log_derivative(pairs, roughness)
+    return apply_albedo(pairs, _distribution(pairs, roughness) * visibility * fresnel(f0, pairs), specular)
 
 
-def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
-    """D G / (4 cos_i cos_o)."""
+def _distribution(pairs: Pairs, roughness: Tensor) -> Tensor:
+    """D."""
     inverse = roughness.square().reciprocal()
-    exponent = torch.addcmul(pairs.cached(_facets, lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
-    return clamped_exp(exponent) * (inverse / math.pi) * beckmann_visibility(pairs, roughness)
+    return beckmann_exponential(pairs, inverse) * (inverse / math.pi)
 
 
 @LOBES.register("beckmann")
@@ -81,7 +84,8 @@ class Beckmann(Lobe):
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dm = shape (2 tan2_h / m^3 - 2 / m + d log G / dm), d/dF0 = shape / F (1 - (1 - cos_d)^5)."""
         roughness, f0 = scalars
-        facets = _facets(pairs, roughness)
+        visibility, by_shadowing = beckmann_visibility_and_log_derivative(pairs, roughness)
+        facets = _distribution(pairs, roughness) * visibility
         shape = facets * fresnel(f0, pairs)
-        slope = log_beckmann_derivative(pairs, roughness) + beckmann_log_visibility_derivative(pairs, roughness)
+        slope = log_beckmann_derivative(pairs, roughness) + by_shadowing
         return [shape, shape * slope, facets * (1 - schlick_weight(pairs))]

@@ -2,15 +2,12 @@
 
 import math
 
-import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import (
     apply_albedo,
-    clamped_exp,
+    beckmann_exponential,
     log_beckmann_derivative,
-    log_secant,
-    tangent,
     v_groove,
 )
 from torchbrdf.lobes.base import LOBES, Lobe
@@ -53,10 +50,8 @@ def cook_torrance(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor)
 
 def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
     """D G / (pi cos_i cos_o)."""
-    # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
     inverse = roughness.square().reciprocal()
-    exponent = torch.addcmul(pairs.cached(_facets, lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
-    return clamped_exp(exponent) * (v_groove(pairs) * (inverse / math.pi))
+    return beckmann_exponential(pairs, inverse) * (v_groove(pairs) * (inverse / math.pi))
 
 
 @LOBES.register("cook_torrance")

@@ -44,22 +44,22 @@ def gtr(pairs: Pairs, specular: Tensor, roughness: Tensor, exponent: Tensor, f0:
         >>> gtr(pairs, colour, *torch.tensor([[0.1], [2.0], [0.3]]))
         tensor([[0.0108, 0.0215, 0.0323]])
     """
-    facets = _distribution(pairs, roughness, exponent) * ggx_visibility(pairs, roughness)
+    facets = _distribution(_log_ratio(pairs, roughness), roughness, exponent) * ggx_visibility(pairs, roughness)
     return apply_albedo(pairs, facets * fresnel(f0, pairs), specular)
 
 
-def _distribution(pairs: Pairs, roughness: Tensor, exponent: Tensor) -> Tensor:
-    """D, of which nothing overflows.
+def _distribution(log_ratio: Tensor, roughness: Tensor, exponent: Tensor) -> Tensor:
+    """D, of which nothing overflows, from `_log_ratio`, u.
 
-    With L = log(a^2), q(x) = (e^x - 1) / x and u = log(1 + tan2_h) - log(1 + tan2_h / a^2) it is
-    q(L) e^(g u) / (pi a^2 q((g - 1) L)).
+    With L = log(a^2) and q(x) = (e^x - 1) / x it is q(L) e^(g u) / (pi a^2 q((g - 1) L)).
     """
     log_square = 2 * roughness.log()
     height = _q(log_square) / _q((exponent - 1) * log_square) / (math.pi * roughness.square())
-    return clamped_exp(exponent * _log_ratio(pairs, roughness)) * height
+    return clamped_exp(exponent * log_ratio) * height
 
 
 def _log_ratio(pairs: Pairs, roughness: Tensor) -> Tensor:
+    """log(1 + tan2_h) - log(1 + tan2_h / a^2)."""
     return log_secant(pairs) - torch.log1p(tangent(pairs) / roughness.square())
 
 
@@ -111,11 +111,12 @@ class GTR(Lobe):
         """
         roughness, exponent, f0 = scalars
         visibility, by_roughness = ggx_visibility_and_log_derivative(pairs, roughness)
-        facets = _distribution(pairs, roughness, exponent) * visibility
+        log_ratio = _log_ratio(pairs, roughness)
+        facets = _distribution(log_ratio, roughness, exponent) * visibility
         shape, tan2, log_square = facets * fresnel(f0, pairs), tangent(pairs), 2 * roughness.log()
         own = _log_q_derivative((exponent - 1) * log_square)
         constant = _log_q_derivative(log_square) - (exponent - 1) * own - 1
         slope = constant + exponent * (tan2 / (roughness.square() + tan2))
         by_roughness = by_roughness + slope * (2 / roughness)
-        by_exponent = _log_ratio(pairs, roughness) - log_square * own
+        by_exponent = log_ratio - log_square * own
         return [shape, shape * by_roughness, shape * by_exponent, facets * (1 - schlick_weight(pairs))]

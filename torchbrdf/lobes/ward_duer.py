@@ -2,16 +2,13 @@
 
 import math
 
-import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import (
     apply_albedo,
+    beckmann_exponential,
     clamp_cosine,
-    clamped_exp,
     log_beckmann_derivative,
-    log_secant,
-    tangent,
 )
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
@@ -53,8 +50,7 @@ def ward_duer(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
 def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
     """exp(-tan2_h / a^2) / (4 pi a^2 cos_d^2 cos_h^4)."""
     inverse = roughness.square().reciprocal()
-    exponent = torch.addcmul(pairs.cached(_shape, lambda: 2 * log_secant(pairs)), tangent(pairs), -inverse)
-    return clamped_exp(exponent) * (pairs.cached(ward_duer, lambda: _geometry(pairs)) * inverse)
+    return beckmann_exponential(pairs, inverse) * (pairs.cached(ward_duer, lambda: _geometry(pairs)) * inverse)
 
 
 def _geometry(pairs: Pairs) -> Tensor:

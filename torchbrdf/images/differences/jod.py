@@ -17,7 +17,6 @@ from torchbrdf.reduction import Reduction
 PIXELS_PER_DEGREE = 75.4
 PEAK = 200.0
 _CONTRAST, _AMBIENT = 1000.0, 250.0  # lux
-_BEST = 10.0
 
 
 @DIFFERENCES.register("jod")

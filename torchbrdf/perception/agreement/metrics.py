@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from torchbrdf.errors import UsageError, shown
 from torchbrdf.losses import LOSSES, FunctionLoss, Loss, as_loss, make_loss
+from torchbrdf.losses.learned import cosines
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
 
@@ -29,8 +30,7 @@ _DARKEST = 1e-3
 
 def mean_log_difference(prediction: Tensor, target: Tensor, pairs: Pairs) -> Tensor:
     """Mean of |log(x + 1e-3) - log(y + 1e-3)|, x = max(M, 0) cos_i cos_o: the best plain formula so far, `(...)`."""
-    cosines = (pairs.cos_i.clamp_min(0) * pairs.cos_o.clamp_min(0))[..., None]
-    one, other = ((values.clamp_min(0) * cosines + _DARKEST).log() for values in (prediction, target))
+    one, other = ((values.clamp_min(0) * cosines(pairs) + _DARKEST).log() for values in (prediction, target))
     return (one - other).abs().mean((-2, -1))
 
 
