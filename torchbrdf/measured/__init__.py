@@ -6,6 +6,7 @@ from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
+from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.standin import StandIn, standins
 
@@ -18,11 +19,14 @@ __all__ = [
     "Lookup",
     "Measured",
     "Merl",
+    "Plausibility",
     "Rgl",
     "Samples",
     "StandIn",
+    "check",
     "contrast_gloss",
     "describe",
+    "directional_albedo",
     "distinctness_of_image",
     "is_merl",
     "load",

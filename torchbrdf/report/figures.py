@@ -14,12 +14,14 @@ from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.experiment.labels import caveat, difference_label, loss_label, model_label
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, model_of
-from torchbrdf.measured import Measured
+from torchbrdf.measured import Measured, Plausibility
 from torchbrdf.pairs import Pairs
 from torchbrdf.report.meaning import mark_shares
 from torchbrdf.report.style import COLORS, new_figure, plain_ticks
 
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
+# More names in a legend than these nobody reads.
+MOST_LABELS = 24
 
 
 def gloss_figure(
@@ -78,6 +80,21 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
         plain_ticks(panels[-1].xaxis)
         panels[0].set_ylabel("cube root of f (green)")
         panels[-1].legend(fontsize=7, frameon=False)
+
+
+def albedo_figure(path: Path, found: Sequence[Plausibility]) -> None:
+    """Albedo of each material over the angle of the light, the channel that reflects most; above 1 is no surface."""
+    with new_figure(path, 7, 4) as figure:
+        panel = figure.subplots()
+        for one in found:
+            panel.plot(one.angles, [max(row) for row in one.albedo], "o-", ms=3, lw=1, label=one.name)
+        panel.axhspan(1, 1e9, color="#c44e52", alpha=0.12, lw=0)
+        highest = max(one.largest_albedo[0] for one in found)
+        panel.set(xlabel="light, degrees from the normal", ylabel="albedo, brightest channel", xlim=(0, 90))
+        panel.set_ylim(0, max(1.05, 1.05 * highest))
+        panel.axhline(1, color="grey", lw=0.8)
+        if len(found) <= MOST_LABELS:
+            panel.legend(frameon=False, fontsize=7, ncols=1 + (len(found) - 1) // 12)
 
 
 def quality_figure(

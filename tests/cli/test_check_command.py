@@ -1,0 +1,36 @@
+"""`torchbrdf check`."""
+
+import json
+
+from torchbrdf.cli import main
+from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
+
+
+def test_it_says_what_is_odd_and_draws_it(paint, tmp_path, capsys):
+    bright, out = tmp_path / "bright.json", tmp_path / "out"
+    model = Sum(Lambert(albedo=0.9), Ward(specular=0.9, roughness=0.1))
+    write_fits(bright, [FitRecord("bright", "ward", 1, parameters(model))])
+    assert main(["check", str(paint), str(bright), "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("material") and lines[1].startswith("paint")
+    # Cook and Torrance's lobe gives out more than it takes in near the horizon.
+    assert "! reflects 104 % of the light from 80 degrees" in lines[2]
+    assert (
+        lines[3].startswith("bright")
+        and "! reflects 1" in lines[4]
+        and lines[-2:] == [str(out / "albedo.png"), str(out / "check.json")]
+    )
+    first, second = json.loads((out / "check.json").read_text())
+    assert len(first["warnings"]) == 1 and second["largest_albedo"] > 1.5
+    assert (out / "albedo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_bad_files_do_not_spoil_the_others(paint, tmp_path, capsys):
+    bad = tmp_path / "broken.json"
+    bad.write_text("[{")
+    assert main(["check", str(paint), str(bad)]) == 1
+    printed = capsys.readouterr()
+    assert "paint" in printed.out and "broken.json" in printed.err
+    (tmp_path / "file").write_text("")
+    assert main(["check", str(paint), "--out", str(tmp_path / "file")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
