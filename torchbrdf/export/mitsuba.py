@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from torchbrdf.export.api import material_of, write
-from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
 
@@ -27,12 +27,7 @@ def _diffuse(lobe: Lobe) -> Bsdf:
 
 
 def _rgb(value: Any) -> dict[str, Any]:
-    return {"type": "rgb", "value": [_digits(one) for one in value.tolist()]}
-
-
-def _digits(value: float) -> float:
-    """A number of single precision, without digits that it does not have."""
-    return float(f"{value:.7g}")
+    return {"type": "rgb", "value": numbers(value)}
 
 
 # The lobes that Mitsuba has in the same form, by their registered names.
