@@ -7,7 +7,7 @@ import warnings
 from contextlib import nullcontext
 
 from torchbrdf import __version__
-from torchbrdf.cli import check, fit, info, render, run, score, study, view
+from torchbrdf.cli import check, export, fit, info, render, run, score, study, view
 from torchbrdf.cli.common import Options, Parser, described
 from torchbrdf.cli.signals import GRACE, ending
 from torchbrdf.errors import TorchbrdfError, UsageError, one_line
@@ -19,13 +19,14 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf fit nickel.binary --model ward      one fit, printed
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
+  torchbrdf export fits.json --to mitsuba       materials of other programs
   torchbrdf info nickel.binary                  what a file holds
   torchbrdf check nickel.binary fits.json       energy, reciprocity, negative values
   torchbrdf score --metric my_metrics:distance  how often a metric agrees with people
   torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
 """
 
-COMMANDS = (run, fit, render, view, info, check, score, study)
+COMMANDS = (run, fit, render, view, export, info, check, score, study)
 
 
 def build_parser() -> Parser:
