@@ -1,4 +1,4 @@
-"""Name -> thing, for lobes, losses, formats, differences, strategies and recipes: our own, and other packages'."""
+"""Name -> thing, for lobes, losses, formats, exporters, recipes and more: our own, and those of other packages."""
 
 import difflib
 import importlib

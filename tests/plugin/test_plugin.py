@@ -1,4 +1,4 @@
-"""Another package's lobe, loss, format, difference, strategy and recipe, installed and used by name."""
+"""Another package's lobe, loss, format, difference, strategy, exporter and recipe, installed and used by name."""
 
 import json
 import math
@@ -96,6 +96,15 @@ def test_an_image_difference_is_a_loss(installed: dict[str, str], paint: Path, t
 
 
 @pytest.mark.slow
+def test_an_exporter_writes(installed: dict[str, str], tmp_path: Path) -> None:
+    done = torchbrdf(
+        installed, "export", CHECKOUT / "assets" / "standins.json", "--to", "myexporter", "--out", tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.glob("*.mine"))) == 10
+
+
+@pytest.mark.slow
 def test_a_recipe_runs(installed: dict[str, str], tmp_path: Path) -> None:
     done = torchbrdf(installed, "run", "myrecipe", "quick=true", "--out", tmp_path / "run")
     assert (done.returncode, done.stderr) == (0, "")
@@ -107,13 +116,14 @@ def test_everything_is_listed_and_a_broken_thing_says_why(installed: dict[str, s
     code = """
 import torchbrdf.losses
 heavy = {"kornia", "matplotlib", "scipy", "trimesh"} & set(__import__("sys").modules)
+from torchbrdf.export import EXPORTERS
 from torchbrdf.fitting import STRATEGIES
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import LOBES
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import FORMATS
 from torchbrdf.recipe import RECIPES
-kinds = (LOBES, LOSSES, DIFFERENCES, STRATEGIES, RECIPES, FORMATS)
+kinds = (LOBES, LOSSES, DIFFERENCES, STRATEGIES, EXPORTERS, RECIPES, FORMATS)
 print(heavy, *("other_brdf" in {thing.__module__.split(".")[0] for thing in kind.values()} for kind in kinds))
 try:
     FORMATS["broken"]
@@ -123,7 +133,7 @@ except Exception as error:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=installed)
     assert_only_the_broken_one_is_reported(done.stderr)
     first, second = done.stdout.splitlines()
-    assert first == "set() True True True True True True"
+    assert first == "set() True True True True True True True"
     assert second.startswith("UsageError format 'broken' of package other-brdf cannot be loaded")
 
 

@@ -7,7 +7,7 @@ import warnings
 from contextlib import nullcontext
 
 from torchbrdf import __version__
-from torchbrdf.cli import fit, info, render, run, score, study, view
+from torchbrdf.cli import export, fit, info, render, run, score, study, view
 from torchbrdf.cli.common import Options, Parser, described
 from torchbrdf.cli.signals import GRACE, ending
 from torchbrdf.errors import TorchbrdfError, UsageError, one_line
@@ -19,12 +19,13 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf fit nickel.binary --model ward      one fit, printed
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
+  torchbrdf export fits.json --to mitsuba       materials of other programs
   torchbrdf info nickel.binary                  what a file holds
   torchbrdf score --metric my_metrics:distance  how often a metric agrees with people
   torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
 """
 
-COMMANDS = (run, fit, render, view, info, score, study)
+COMMANDS = (run, fit, render, view, export, info, score, study)
 
 
 def build_parser() -> Parser:

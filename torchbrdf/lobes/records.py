@@ -215,18 +215,19 @@ def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:
     write_json(path, [record.to_json() for record in records])
 
 
-def read_fits(path: Path | str) -> list[FitRecord]:
+def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitRecord]:
     """Read and check a `fits.json`.
 
     Args:
         path: The file.
+        bad: A list that takes the errors of bad records, so that the others are read; None raises the first.
 
     Returns:
         Its records; `model_of` makes models of those with one kind and number of lobes.
 
     Raises:
-        DataError: It cannot be read, holds no list of fits, or one whose values are not finite; says where and what
-            was expected.
+        DataError: It cannot be read, holds no list of fits, or, where `bad` is None, one that is none or whose values
+            are not finite; says where and what was expected.
 
     Example:
         >>> from torchbrdf.measured import standins
@@ -236,33 +237,44 @@ def read_fits(path: Path | str) -> list[FitRecord]:
     records: list[dict[str, Any]] = read_json(path, list[dict[str, Any]], "a list of fits")
     if not records:
         raise DataError(f"{path}: expected a list of fits, found an empty one")
-    found = [FitRecord.from_json(record, f"{path}: fit {k}") for k, record in enumerate(records)]
-    _check_values(path, found)
-    return found
+    found: dict[int, FitRecord] = {}
+    errors: dict[int, DataError] = {}
+    for k, record in enumerate(records):
+        try:
+            found[k] = FitRecord.from_json(record, f"{path}: fit {k}")
+        except DataError as error:
+            if bad is None:
+                raise
+            errors[k] = error
+    for k in _not_finite(found):
+        errors[k] = DataError(
+            f"{path}: fit {k}: parameters of {found[k].model}: expected those of a model with values of at most "
+            f"{LARGEST_VALUE:g} / sr, found others for {found.pop(k).material}"
+        )
+        if bad is None:
+            raise errors[k]
+    if bad is not None:
+        bad += [errors[k] for k in sorted(errors)]
+    return list(found.values())
 
 
-def _check_values(path: Path | str, records: Sequence[FitRecord]) -> None:
-    """A DataError for the first record whose model's values are not finite: nothing could be done with them.
+def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
+    """The records whose models' values are not finite: nothing could be done with them.
 
     In either precision: a lobe that is far too narrow overflows in float32 only.
     """
     kinds: dict[tuple[str, int], list[int]] = {}
-    for k, record in enumerate(records):
+    for k, record in records.items():
         kinds.setdefault((record.model, record.lobes), []).append(k)
-    bad: list[int] = []
+    bad: set[int] = set()
     for rows in kinds.values():
         model = model_of([records[k] for k in rows], torch.float64)
         for dtype in (torch.float64, torch.float32):
             with torch.no_grad():
                 values = model.to(dtype)(_probes().to(dtype=dtype))
             finite = (values.abs() <= LARGEST_VALUE).flatten(1).all(-1)
-            bad += [k for k, good in zip(rows, finite.tolist(), strict=True) if not good]
-    if bad:
-        first = min(bad)
-        raise DataError(
-            f"{path}: fit {first}: parameters of {records[first].model}: expected those of a model with values of at "
-            f"most {LARGEST_VALUE:g} / sr, found others for {records[first].material}"
-        )
+            bad |= {k for k, good in zip(rows, finite.tolist(), strict=True) if not good}
+    return sorted(bad)
 
 
 def _probes() -> Pairs:

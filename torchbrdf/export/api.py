@@ -1,0 +1,168 @@
+"""`export`: one call from a fit or a measured file to a material that a renderer reads."""
+
+import copy
+import os
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.files import writable
+from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
+from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.parameter_dict import get_parameters, named_specs
+from torchbrdf.measured import Measured, StandIn, load
+from torchbrdf.measured.load import find_files, format_of
+from torchbrdf.names import check_name, clean_name
+from torchbrdf.render import Mesh, find_mesh
+
+# How far beyond its bounds a parameter may be by rounding, as a share of it.
+ROUNDING = 1e-5
+# Of what is given without one.
+NAMELESS = "material"
+
+
+def export(
+    brdf: Brdf | FitRecord | str | os.PathLike[str],
+    to: str,
+    out: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    mesh: Mesh | str | os.PathLike[str] | None = None,
+) -> Exported:
+    """Write a BRDF as a material of a renderer.
+
+    Args:
+        brdf: A lobe or a sum of lobes, not batched; a `Measured` of one material; a record of a fit; or the path of a
+            file with one of either.
+        to: For what: a registered exporter, such as "mitsuba" or "pbrt".
+        out: The folder, which is made if it is not there.
+        name: Of the material and its files; by default that of the record or the measurement.
+        mesh: The object that wears the material, where an object is written, too ("gltf"): a mesh, "blob", "sphere", or
+            a file.
+
+    Returns:
+        The files, whether they are exact, notes on what was refitted or written as a table, and the BRDF that will be
+        seen.
+
+    Raises:
+        UsageError: There is no such exporter, the model is batched or the Measured has several materials, or the
+            exporter writes no mesh or needs a package that is not installed.
+        DataError: The file or the folder cannot be read or written, a parameter lies outside its bounds, or the
+            exporter cannot show such a material.
+
+    Example:
+        >>> from torchbrdf.export import export
+        >>> from torchbrdf.lobes import Lambert
+        >>> done = export(Lambert(albedo=0.5), "mitsuba", "out", name="chalk")
+        >>> [path.name for path in done.files], done.exact
+        (['chalk.xml'], True)
+    """
+    exporter = find_exporter(to, find_mesh(os.fspath(mesh)) if isinstance(mesh, str | os.PathLike) else mesh)
+    return write(exporter, material_of(brdf, name), out)
+
+
+def find_exporter(name: str, mesh: Mesh | None = None) -> Exporter:
+    """Make the exporter of a name.
+
+    Args:
+        name: Registered.
+        mesh: The object, of exporters that write one.
+    """
+    if not isinstance(name, str):
+        raise UsageError(f"to: expected one of {', '.join(EXPORTERS)}, found {shown(name)}")
+    return EXPORTERS[name](mesh)
+
+
+def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> Exported:
+    """Write a material by an exporter, but never in the place of the file that it is made of."""
+    folder = writable(Path(out))
+    for suffix in (exporter.suffix, *exporter.beside):
+        path = material.path(folder, suffix)
+        for source in _sources(material):
+            if path.exists() and source.exists() and path.samefile(source):
+                raise DataError(f"{path}: expected another folder or name, found the file that is exported")
+    with torch.no_grad():
+        return exporter.write(material, folder)
+
+
+def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | None = None) -> Material:
+    """One material of whatever `export` takes.
+
+    Args:
+        brdf: As for `export`.
+        name: Of the material; by default its own.
+
+    Raises:
+        UsageError: It is none of what can be exported, or several materials.
+        DataError: A file cannot be read, the name is none, or a parameter lies outside its bounds.
+    """
+    if isinstance(brdf, str | os.PathLike):
+        return _of_file(Path(brdf) if os.fspath(brdf) else brdf, name)
+    if isinstance(brdf, FitRecord):
+        own = brdf.material if name is None else check_name(name, "export: name")
+        model = from_parameters(brdf.model, brdf.parameters)
+        return Material(own, _checked(model, own))
+    if isinstance(brdf, Measured):
+        if len(brdf) != 1:
+            raise UsageError(
+                f"export: expected one material, found {len(brdf)}; export each of them: measured.batch([k])"
+            )
+        if isinstance(brdf.source, StandIn):  # a model in a measurement's place
+            own = brdf.names[0] if name is None else name
+            return material_of(brdf.source.records[brdf.materials[0]], clean_name(own) if name is None else own)
+        return Material(clean_name(brdf.names[0]) if name is None else name, brdf.to("cpu"))
+    if isinstance(brdf, Lobe):
+        own = NAMELESS if name is None else check_name(name, "export: name")
+        return Material(own, _checked(copy.deepcopy(brdf).cpu(), own))
+    raise UsageError(f"export: expected a lobe, a Measured, a FitRecord or a path, found {shown(brdf)}")
+
+
+def _of_file(path: str | os.PathLike[str], name: str | None) -> Material:
+    """The only material of a measured file, or of a `fits.json`."""
+    (file, *more) = find_files(path)
+    if not more and format_of(file) == StandIn.format:
+        records = read_fits(file)
+        if len(records) == 1:
+            return material_of(records[0], name)
+        found = f"{len(records)} fits"
+    elif not more:
+        measured = load(file)
+        if len(measured) == 1:
+            return material_of(measured, name)
+        found = f"{len(measured)} materials"
+    else:
+        found = f"{1 + len(more)} files"
+    raise UsageError(f"{path}: expected one material, found {found}; `torchbrdf export` takes them all")
+
+
+def _sources(material: Material) -> list[Path]:
+    """The file that a measured material is read from."""
+    if not isinstance(material.brdf, Measured):
+        return []
+    paths = material.brdf.source.paths
+    return [paths[row] for row in material.brdf.materials if row < len(paths)]
+
+
+def _checked(model: Lobe, where: str) -> Lobe:
+    """The model, if it is one material with parameters within their bounds."""
+    values = get_parameters(model)
+    for name, spec in named_specs(model).items():
+        own = name.rpartition(".")[2]
+        if values[name].dim() > len(spec.shape):
+            count = values[name].shape[0]
+            raise UsageError(f"{where}: expected one material, found a model of {count}; see torchbrdf.lobes.model_of")
+        beyond = _beyond(values[name].double(), spec)
+        if beyond is not None:
+            raise DataError(f"{where}: {own}: expected {spec.lower:g} to {spec.upper:g}, found {beyond:g}")
+    return model
+
+
+def _beyond(value: Tensor, spec: BoundedParameter) -> float | None:
+    """The first number that lies outside of the bounds."""
+    room_below, room_above = abs(spec.lower) * ROUNDING, abs(spec.upper) * ROUNDING
+    inside = (value >= spec.lower - room_below) & (value <= spec.upper + room_above)
+    outside = value[~inside]
+    return float(outside[0]) if len(outside) else None
