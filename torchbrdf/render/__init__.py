@@ -7,8 +7,10 @@ from torchbrdf.render.loss import RenderedLoss
 from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh, blob, find_mesh, sphere
 from torchbrdf.render.scene import Scene, small_scene
+from torchbrdf.render.side_by_side import SideBySide
 from torchbrdf.render.transport.cache import cache_folder
 from torchbrdf.render.transport.transport import Transport
+from torchbrdf.render.unseen import unseen_scenes
 
 __all__ = [
     "Camera",
@@ -18,6 +20,7 @@ __all__ = [
     "PointLight",
     "RenderedLoss",
     "Scene",
+    "SideBySide",
     "Transport",
     "blob",
     "cache_folder",
@@ -26,4 +29,5 @@ __all__ = [
     "render",
     "small_scene",
     "sphere",
+    "unseen_scenes",
 ]

@@ -14,6 +14,7 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
 from torchbrdf.reduction import Reduction
 from torchbrdf.render.scene import Scene
+from torchbrdf.render.side_by_side import SideBySide
 from torchbrdf.render.transport.transport import Transport
 
 # Pixels that starts are compared by.
@@ -31,14 +32,14 @@ class RenderedLoss(ImageLoss):
     the measured values there as target; `max_theta` and `samples` do not matter to it.
 
     Args:
-        scene: what is drawn.
+        scene: what is drawn; or several scenes side by side, for differences that are means over pixels.
         difference: a registered image difference, or its name; the error is what it says (of psnr the root of the mean
             square).
         tone: the tone map; None: for each material one that is measured on its own reference.
         reduction: as of `Loss`.
 
     Raises:
-        UsageError: for an unknown difference, or one that needs larger pictures.
+        UsageError: for an unknown difference, or one that needs larger pictures or a single one.
 
     Example:
         >>> from torchbrdf.lobes import Lambert
@@ -52,7 +53,7 @@ class RenderedLoss(ImageLoss):
     @undisturbed()
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | SideBySide,
         difference: Difference | str = "delta_e76",
         *,
         tone: ToneMap | None = None,
@@ -62,6 +63,9 @@ class RenderedLoss(ImageLoss):
         if own.reduction != "none":
             found = own.reduction
             raise UsageError(f"RenderedLoss: expected a difference without a reduction, found {found!r}; give it here")
+        if isinstance(scene, SideBySide) and not isinstance(own, PixelDifference):
+            name = own.registered_name
+            raise UsageError(f"RenderedLoss: expected one scene, since {name} is no mean over pixels, found several")
         if scene.size < own.least_side:
             name = own.registered_name
             raise UsageError(
