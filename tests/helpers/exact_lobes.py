@@ -190,7 +190,66 @@ def exact_charlie(g: Geometry, specular: mpf, a: mpf) -> mpf:
     return specular * d / (4 * (g.n_i + g.n_o - g.n_i * g.n_o))
 
 
+def exact_ggx_distribution(g: Geometry, a: mpf) -> mpf:
+    return exact_gtr_distribution(g, a, mpf(2))
+
+
+def separable(g: Geometry, a: mpf) -> mpf:
+    """Smith's G / (4 cos_i cos_o) of GGX, with heights uncorrelated."""
+    lit = [1 + ggx_lambda(a)(mpmath.sqrt(1 - c**2) / c) for c in (g.n_i, g.n_o)]
+    return 1 / (lit[0] * lit[1]) / (4 * g.n_i * g.n_o)
+
+
+def f82(g: Geometry, f0: mpf, tint: mpf) -> mpf:
+    """Kutz et al., with b from the condition at cos(theta) = 1/7 itself."""
+
+    def schlick(cosine: mpf) -> mpf:
+        return f0 + (1 - f0) * (1 - cosine) ** 5
+
+    at = mpf(1) / 7
+    b = schlick(at) * (1 - tint) / (at * (1 - at) ** 6)
+    return schlick(g.o_h) - b * g.o_h * (1 - g.o_h) ** 6
+
+
+def exact_ggx_f82(g: Geometry, f0: mpf, tint: mpf, a: mpf, weight: mpf) -> mpf:
+    return weight * exact_ggx_distribution(g, a) * correlated(g, ggx_lambda(a)) * f82(g, f0, tint)
+
+
+def exact_roughconductor(g: Geometry, specular: mpf, a: mpf, eta: mpf, k: mpf) -> mpf:
+    """With Fresnel's equations for a complex index of refraction."""
+    index = mpmath.mpc(eta, k)
+    refracted = mpmath.sqrt(1 - (1 - g.o_h**2) / index**2)
+    across = (g.o_h - index * refracted) / (g.o_h + index * refracted)
+    along = (index * g.o_h - refracted) / (index * g.o_h + refracted)
+    reflected = (abs(across) ** 2 + abs(along) ** 2) / 2
+    return specular * exact_ggx_distribution(g, a) * separable(g, a) * reflected
+
+
+def exact_principled(g: Geometry, base: mpf, metallic: mpf, roughness: mpf, specular: mpf, *rest: mpf) -> mpf:
+    """Burley's formulas as Mitsuba combines them, of a grey base colour, by which a tint is none."""
+    spec_tint, sheen, _, clearcoat, gloss, flatness = rest
+    fifth, at_i, at_o = ((1 - c) ** 5 for c in (g.o_h, g.n_i, g.n_o))
+    eta = 2 / (1 - mpmath.sqrt(mpf("0.08") * specular)) - 1
+    f90 = mpf(1) / 2 + 2 * roughness * g.o_h**2
+    # Burley's eq. 4 is the product; Mitsuba adds up its terms as in the course notes of 2015.
+    retro = (1 + (f90 - 1) * at_i) * (1 + (f90 - 1) * at_o)
+    f_ss90 = roughness * g.o_h**2
+    flat = (1 + (f_ss90 - 1) * at_i) * (1 + (f_ss90 - 1) * at_o)
+    flat = mpf("1.25") * (flat * (1 / (g.n_i + g.n_o) - mpf(1) / 2) + mpf(1) / 2)
+    diffuse = base / mpmath.pi * (retro + flatness * (flat - retro))
+    f0 = ((eta - 1) / (eta + 1)) ** 2
+    reflected = (1 - metallic) * (1 - spec_tint) * exact_dielectric(g.o_h, eta)
+    reflected += metallic * (base + (1 - base) * fifth) + (1 - metallic) * spec_tint * (f0 + (1 - f0) * fifth)
+    alpha = max(roughness**2, mpf("0.001"))
+    main = exact_ggx_distribution(g, alpha) * separable(g, alpha) * reflected
+    width = mpf("0.1") + (mpf("0.001") - mpf("0.1")) * gloss
+    shadow = separable(g, mpf(1) / 4) * 4 * g.n_i * g.n_o
+    coat = clearcoat / 4 * (mpf("0.04") + mpf("0.96") * fifth) * exact_gtr_distribution(g, width, mpf(1)) * shadow
+    return (1 - metallic) * (diffuse + sheen * fifth) + main + coat
+
+
 unit = st.floats(0, 1)
+shares = st.floats(0.02, 1)
 f0s = st.floats(0.02, 1)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
 
@@ -214,6 +273,12 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "ward_duer": (exact_ward_duer, [unit, decades(0.001, 0.5)]),
     "oren_nayar": (exact_oren_nayar, [unit, st.floats(0.001, 1.5)]),
     "eon": (exact_eon, [unit, st.one_of(st.just(0.0), st.floats(0.01, 1))]),
+    "ggx_f82": (exact_ggx_f82, [shares, st.floats(0.52, 1), decades(0.001, 1), unit]),
+    "roughconductor": (exact_roughconductor, [unit, decades(0.001, 1), decades(0.02, 10), decades(0.02, 20)]),
+    "principled": (
+        exact_principled,
+        [shares, unit, decades(0.032, 1), st.floats(0.05, 1), *[unit] * 6],
+    ),
     "charlie": (exact_charlie, [unit, decades(0.01, 1)]),
     "shifted_gamma": (
         exact_shifted_gamma,
