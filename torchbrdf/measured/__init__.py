@@ -8,6 +8,7 @@ from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, S
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
+from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
 
 __all__ = [
@@ -35,4 +36,5 @@ __all__ = [
     "standins",
     "write_merl",
     "write_raw",
+    "write_rgl",
 ]
