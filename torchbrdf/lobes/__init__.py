@@ -13,12 +13,15 @@ from torchbrdf.lobes.eon import EON, eon
 from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.gtr import GTR, gtr
+from torchbrdf.lobes.he import He, he
+from torchbrdf.lobes.lafortune import Lafortune, lafortune
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
+from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
@@ -36,11 +39,14 @@ __all__ = [
     "CookTorrance",
     "DistributionBased",
     "FitRecord",
+    "He",
+    "Lafortune",
     "Lambert",
     "Lobe",
     "LowABC",
     "OrenNayar",
     "ShiftedGamma",
+    "StudentT",
     "Sum",
     "Ward",
     "WardDuer",
@@ -59,6 +65,8 @@ __all__ = [
     "from_parameters",
     "ggx",
     "gtr",
+    "he",
+    "lafortune",
     "lambert",
     "make_model",
     "model_name",
@@ -68,6 +76,7 @@ __all__ = [
     "read_fits",
     "schlick",
     "shifted_gamma",
+    "student_t",
     "ward",
     "ward_duer",
     "write_fits",
