@@ -155,6 +155,63 @@ def exact_ward_duer(g: Geometry, specular: mpf, alpha: mpf) -> mpf:
     return specular * lobe * square / (g.n_i + g.n_o) ** 4
 
 
+def student_t_lambda(sigma: mpf, gamma: mpf) -> Callable[[mpf], mpf]:
+    """Integrals over the density of one slope, as in eq. 13 to 15 of Ribardiere et al., without their approximation."""
+    a = gamma - 1
+    k = mpmath.gamma(a + mpf(1) / 2) / (mpmath.sqrt(mpmath.pi) * mpmath.gamma(a))
+
+    def found(tangent: mpf) -> mpf:
+        if tangent == 0:
+            return mpf(0)
+        u = 1 / (sigma * mpmath.sqrt(a) * tangent)
+        mean = k * (1 + u**2) ** (mpf(3) / 2 - gamma) / (2 * gamma - 3)
+        # Beyond u, and in the middle.
+        share = mpmath.betainc(a, mpf(1) / 2, 0, 1 / (1 + u**2), regularized=True) / 2
+        return mean / u - share
+
+    return found
+
+
+def exact_student_t(g: Geometry, specular: mpf, sigma: mpf, gamma: mpf, f0: mpf) -> mpf:
+    d = (1 + mpmath.tan(g.delta) ** 2 / ((gamma - 1) * sigma**2)) ** -gamma / (mpmath.pi * sigma**2 * g.n_h**4)
+    return specular * d * correlated(g, student_t_lambda(sigma, gamma)) * fresnel(g, f0)
+
+
+def exact_lafortune(g: Geometry, specular: mpf, cz: mpf, n: mpf) -> mpf:
+    """In the half vector's and the difference's terms: the directions themselves are of length 1 to 16 digits only."""
+    apart = g.o_h**2 * mpmath.sin(g.delta) ** 2 + (g.n_i - g.n_o) ** 2 / 4
+    c = 1 - g.n_i * g.n_o - 2 * apart + cz * g.n_i * g.n_o
+    c /= max(mpf(1), cz)
+    assume(abs(c) > 0.03)  # a difference of equals has no digits
+    return specular * (n + 2) / (2 * mpmath.pi) * max(mpf(0), c) ** n
+
+
+def exact_he(g: Geometry, specular: mpf, sigma0: mpf, tau: mpf, ior: mpf) -> mpf:
+    """Eq. 24, 25, 78 and 80 of He et al., each term of the sum, with lengths in wavelengths."""
+
+    def hidden(cosine: mpf) -> mpf:
+        return mpmath.erfc(tau * cosine / (2 * sigma0 * mpmath.sqrt(1 - cosine**2))) if cosine < 1 else mpf(0)
+
+    def lit(cosine: mpf) -> mpf:
+        slope = beckmann_lambda(2 * sigma0 / tau)(mpmath.sqrt(1 - cosine**2) / cosine)
+        return (1 - hidden(cosine) / 2) / (1 + slope)
+
+    k = sum(mpmath.sqrt(1 - c**2) / c * hidden(c) for c in (g.n_i, g.n_o))
+    # z0 / sigma0 of eq. 81: the root of y exp(y^2 / 2) = k / sqrt(8 pi).
+    sigma = sigma0 / mpmath.sqrt(1 + mpmath.lambertw((k / mpmath.sqrt(8 * mpmath.pi)) ** 2).real)
+    height = (2 * mpmath.pi * sigma * (g.n_i + g.n_o)) ** 2
+    x = (2 * mpmath.pi * tau) ** 2 * (2 * g.o_h * mpmath.sin(g.delta)) ** 2 / 4
+    peak = height * mpmath.exp(mpmath.lambertw(2 * x / height**2).real / 2)
+    width = 1 / mpmath.sqrt(1 / peak + 2 * x / peak**3)
+    terms = range(max(1, int(peak - 14 * width)), int(peak + 16 * width + 60))
+    total = mpmath.fsum(mpmath.exp(m * mpmath.log(height) - height - x / m - mpmath.loggamma(m + 1)) / m for m in terms)
+    # Nobody sees it beyond that, and exp(-x / m) loses digits of x.
+    assume(mpmath.log(total / height) > -50 - height / 5 and x / peak < 300)
+    d = (mpmath.pi * tau) ** 2 / 4 * total
+    bent = (2 * g.o_h / g.n_h) ** 2 * lit(g.n_i) * lit(g.n_o)
+    return specular * exact_dielectric(g.o_h, ior) * bent * d / (mpmath.pi * g.n_i * g.n_o)
+
+
 def exact_oren_nayar(g: Geometry, albedo: mpf, sigma: mpf) -> mpf:
     """Eq. 30 of Oren and Nayar."""
     a = 1 - sigma**2 / (2 * (sigma**2 + mpf("0.33")))
@@ -270,6 +327,9 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "ggx": (exact_ggx, [unit, decades(0.001, 1), f0s]),
     "beckmann": (exact_beckmann, [unit, decades(0.001, 1), f0s]),
     "gtr": (exact_gtr, [unit, decades(0.001, 1), decades(0.5, 10), f0s]),
+    "student_t": (exact_student_t, [unit, decades(0.001, 1), decades(1.51, 40), f0s]),
+    "lafortune": (exact_lafortune, [unit, decades(0.001, 5), decades(0.1, 50_000)]),
+    "he": (exact_he, [unit, decades(0.01, 10), decades(1, 200), decades(1.02, 100)]),
     "ward_duer": (exact_ward_duer, [unit, decades(0.001, 0.5)]),
     "oren_nayar": (exact_oren_nayar, [unit, st.floats(0.001, 1.5)]),
     "eon": (exact_eon, [unit, st.one_of(st.just(0.0), st.floats(0.01, 1))]),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import from_half_diff
-from helpers.exact_lobes import EXACT, Geometry, decades
+from helpers.exact_lobes import EXACT, Geometry, correlated, decades, student_t_lambda
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from mpmath import mpf
@@ -18,6 +18,7 @@ from scipy import integrate
 
 from torchbrdf.lobes import (
     LOBES,
+    Lobe,
     abc,
     ashikhmin_shirley,
     beckmann,
@@ -28,9 +29,11 @@ from torchbrdf.lobes import (
     eon,
     ggx,
     gtr,
+    lafortune,
     lambert,
     schlick,
     shifted_gamma,
+    student_t,
     ward,
     ward_duer,
 )
@@ -381,3 +384,74 @@ def test_eon_keeps_all_energy(roughness: float, theta: float) -> None:
 
     assert share(1.0) == pytest.approx(1, rel=2e-4)
     assert share(0.5) <= 0.5 + 1e-4
+
+
+@pytest.mark.parametrize("exponent", [1.6, 2.5, 12.0])
+def test_shadowing_of_student_t_by_integration(exponent: float) -> None:
+    """Lambda is the mean of (p - mu) / mu over slopes p beyond mu = cot(theta), as Smith has it."""
+    sigma, theta_i, theta_o, phi = 0.4, 1.2, 0.7, 0.5
+
+    def density(p: mpf) -> mpf:
+        """Of one slope: the other one integrated out."""
+        scale = (exponent - 1) * sigma**2
+        alone = mpmath.beta(exponent - 0.5, 0.5) * (1 + p**2 / scale) ** (0.5 - exponent) * mpmath.sqrt(scale)
+        return alone / (mpmath.pi * sigma**2)
+
+    def slope(tangent: mpf) -> mpf:
+        mu = 1 / tangent
+        steps = [*range(-30, 10, 4), *range(10, 400, 40)]  # of log(p - mu)
+        return mpmath.quad(lambda t: mpmath.exp(2 * t) * density(mu + mpmath.exp(t)), steps) / mu
+
+    wi = [math.sin(theta_i), 0.0, math.cos(theta_i)]
+    wo = [math.sin(theta_o) * math.cos(phi), math.sin(theta_o) * math.sin(phi), math.cos(theta_o)]
+    g = Geometry(mp(wi), mp(wo))
+    d = (1 + mpmath.tan(g.delta) ** 2 / ((exponent - 1) * sigma**2)) ** -exponent / (mpmath.pi * sigma**2 * g.n_h**4)
+    found = evaluate(student_t, theta_i, theta_o, phi, 1.0, sigma, exponent, 1.0)
+    assert found == pytest.approx(float(d * correlated(g, slope)), rel=1e-9)
+
+
+def test_student_t_lies_between_ggx_and_beckmann() -> None:
+    """gamma = 2 is GGX with all digits; at a large gamma it is near Beckmann's lobe, the nearer the larger."""
+    pairs = Pairs.from_half_diff(*torch.rand(3, 500, dtype=torch.float64, generator=torch.Generator().manual_seed(0)))
+    colour, f0 = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64), torch.tensor([0.3], dtype=torch.float64)
+    for roughness in torch.tensor([[0.001], [0.1], [1.0]], dtype=torch.float64):
+        expected = ggx(pairs, colour, roughness, f0)
+        torch.testing.assert_close(student_t(pairs, colour, roughness, 2 * f0 / f0, f0), expected, rtol=1e-11, atol=0)
+    expected = beckmann(pairs, colour, 0.4 * f0 / f0, f0)
+    apart = [(student_t(pairs, colour, 0.4 * f0 / f0, k * f0 / f0, f0) - expected).abs().max() for k in (5, 10, 40)]
+    assert apart[0] > 1.9 * apart[1] > 1.9**2 * apart[2] and apart[2] < 0.03 * expected.max()
+
+
+@pytest.mark.parametrize("exponent", [1.6, 2.0, 5.0, 40.0])
+def test_student_t_is_normalized(exponent: float) -> None:
+    """D cos_h integrates to 1 over the half vectors; where wi = wo = h the shadowing is known from the exact Lambda."""
+
+    def visible(cos: float) -> float:
+        slope = student_t_lambda(mpf(0.3), mpf(exponent))(mpf(math.sqrt(1 - cos**2) / cos))
+        return 0.25 / (cos**2 * (1 + 2 * float(slope)))
+
+    assert d_cosine(student_t, visible, 0.3, exponent, 1.0) == pytest.approx(1, rel=2e-4)
+
+
+@pytest.mark.parametrize("name", ["student_t", "lafortune", "he"])
+def test_derivatives_in_closed_form(name: str) -> None:
+    """Those of `value_and_jacobian` are those of forward differentiation."""
+    pairs = Pairs.from_half_diff(*torch.rand(3, 200, dtype=torch.float64, generator=torch.Generator().manual_seed(2)))
+    kind = LOBES[name]
+    scalars = [torch.tensor([[spec.start], [0.9 * spec.start]], dtype=torch.float64) for spec in kind.scalars()]
+    expected = Lobe.value_and_jacobian.__func__(kind, pairs, *scalars)  # type: ignore[attr-defined]
+    for own, other in zip(kind.value_and_jacobian(pairs, *scalars), expected, strict=True):
+        here = pairs.above_horizon
+        torch.testing.assert_close(own[:, here], other[:, here], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("exponent", [2.0, 40.0, 5000.0])
+def test_lafortune_of_the_mirror_direction_is_phong(exponent: float) -> None:
+    """With C_z = 1 it is a power of the cosine between wo and wi mirrored, which (n + 2) / (2 pi) normalizes."""
+    theta_i, theta_o, phi = 0.6, 0.63, 3.0
+    wi = np.array([math.sin(theta_i), 0, math.cos(theta_i)])
+    wo = np.array([math.sin(theta_o) * math.cos(phi), math.sin(theta_o) * math.sin(phi), math.cos(theta_o)])
+    cosine = float(wi @ (wo * [-1, -1, 1]))
+    found = evaluate(lafortune, theta_i, theta_o, phi, 0.7, 1.0, exponent)
+    assert found == pytest.approx(0.7 * (exponent + 2) / (2 * math.pi) * cosine**exponent, rel=1e-11)
+    assert albedo(lafortune, exponent**-0.5, 0.7, 1.0, exponent) == pytest.approx(0.7, rel=1e-7)

@@ -14,6 +14,8 @@ from torchbrdf.lobes.fresnel import conductor, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
 from torchbrdf.lobes.gtr import GTR, gtr
+from torchbrdf.lobes.he import He, he
+from torchbrdf.lobes.lafortune import Lafortune, lafortune
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
@@ -22,6 +24,7 @@ from torchbrdf.lobes.principled import Principled, principled
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
+from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
@@ -40,6 +43,8 @@ __all__ = [
     "CookTorrance",
     "DistributionBased",
     "FitRecord",
+    "He",
+    "Lafortune",
     "Lambert",
     "Lobe",
     "LowABC",
@@ -47,6 +52,7 @@ __all__ = [
     "Principled",
     "RoughConductor",
     "ShiftedGamma",
+    "StudentT",
     "Sum",
     "Ward",
     "WardDuer",
@@ -67,6 +73,8 @@ __all__ = [
     "ggx",
     "ggx_f82",
     "gtr",
+    "he",
+    "lafortune",
     "lambert",
     "make_model",
     "model_name",
@@ -78,6 +86,7 @@ __all__ = [
     "roughconductor",
     "schlick",
     "shifted_gamma",
+    "student_t",
     "ward",
     "ward_duer",
     "write_fits",

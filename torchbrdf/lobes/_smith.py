@@ -58,18 +58,18 @@ def beckmann_visibility_and_log_derivative(pairs: Pairs, roughness: Tensor) -> t
     erfc(v), v = cos / (m sin); the derivative of l is sin exp(-v^2) / (2 sqrt(pi)).
     """
     cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-    masked_i, slope_i = _beckmann_masked(cos_i, roughness)
-    masked_o, slope_o = _beckmann_masked(cos_o, roughness)
+    masked_i, slope_i, _ = beckmann_masked(cos_i, roughness)
+    masked_o, slope_o, _ = beckmann_masked(cos_o, roughness)
     total = cos_i * cos_o + cos_i * masked_o + cos_o * masked_i
     return safe_ratio(0.25, total), -(cos_i * slope_o + cos_o * slope_i) / total
 
 
-def _beckmann_masked(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
-    """cos Lambda, which is finite at grazing directions, and 0 for those along the normal; its derivative by m."""
+def beckmann_masked(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """cos Lambda, which is finite at grazing directions, and 0 along the normal; its derivative by m; and erfc(v)."""
     # Where the sine is 0 so is everything; a small one keeps quotient and gradient finite. Beyond v = 9 exp(-v^2) and
     # erfc(v) are nothing.
-    sine = (1 - cosine.square()).clamp_min(1e-12).sqrt()
+    sine = ((1 - cosine) * (1 + cosine)).clamp_min(1e-12).sqrt()
     v = (cosine / (roughness * sine)).clamp_max(9)
-    tail = (-v.square()).exp() * sine
-    masked = 0.5 * (tail * (roughness / math.sqrt(math.pi)) - cosine * torch.special.erfc(v))
-    return masked, tail / (2 * math.sqrt(math.pi))
+    tail, hidden = (-v.square()).exp() * sine, torch.special.erfc(v)
+    masked = 0.5 * (tail * (roughness / math.sqrt(math.pi)) - cosine * hidden)
+    return masked, tail / (2 * math.sqrt(math.pi)), hidden
