@@ -160,14 +160,19 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     where = f"parameters of {name}"
     keys, names = _diffuse_keys(diffuse), _names(kinds)
     wanted = {*keys, *names}
-    if set(values) != wanted:
+    optional = {name for kind in kinds for name, spec in kind.parameter_specs.items() if spec.optional}
+    absent = optional - set(values)
+    if set(values) != wanted - absent:
         raise DataError(f"{where}: expected {', '.join(sorted(wanted))}, found {', '.join(map(str, values)) or 'none'}")
-    lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names}
+    lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names if key not in absent}
     counts = {len(entries) for entries in lists.values()}
     kinds = kinds if JOIN in name else kinds * max(counts, default=0)
     if counts != {len(kinds)} or not kinds:
         expected = f"{len(kinds)} values" if JOIN in name else "one value a lobe for each"
         raise DataError(f"{where}: expected {expected}, found {sorted(counts)} values")
+    for key in absent:
+        specs = [kind.parameter_specs for kind in kinds]
+        lists[key] = [own[key].start if key in own else None for own in specs]
     dtype = dtype or torch.get_default_dtype()
     base = {name: _numbers(values[key], diffuse.parameter_specs[name], f"{where}: {key}") for key, name in keys.items()}
     return Sum(
