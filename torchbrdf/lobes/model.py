@@ -217,8 +217,10 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         _check_names(values, diffuse.parameter_specs, where)
         return Sum(diffuse(dtype=dtype, **_own_values(diffuse, values, where)))
     keys, names = _diffuse_keys(diffuse), _names(kinds)
-    _check_names(values, [*keys, *names], where)
-    lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names}
+    optional = {name for kind in kinds for name, spec in kind.parameter_specs.items() if spec.optional}
+    absent = optional - set(values)
+    _check_names(values, {*keys, *names} - absent, where)
+    lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names if key not in absent}
     counts = {len(entries) for entries in lists.values()}
     kinds = kinds if JOIN in joined else kinds * max(counts, default=0)
     if counts != {len(kinds)} or not kinds:
@@ -227,6 +229,9 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     for key in shared:
         if len({repr(value) for value in lists.get(key, ()) if value is not None}) > 1:
             raise DataError(f"{where}: {key}: expected one value for all lobes, found {shown(lists[key])}")
+    for key in absent:
+        specs = [kind.parameter_specs for kind in kinds]
+        lists[key] = [own[key].start if key in own else None for own in specs]
     base = {name: _numbers(values[key], diffuse.parameter_specs[name], f"{where}: {key}") for key, name in keys.items()}
     return Sum(
         diffuse(dtype=dtype, **base),
