@@ -64,6 +64,8 @@ class FitRecord:
         iterations: Of the solver.
         errors: Errors on every valid pair by the name of a loss.
         outlier: Whether another loss's fit has the lower error under this one's loss: a local minimum.
+        intervals: Of parameters, their `level`, and by method (`gauss_newton`, `bootstrap`) `low` and `high` ends, as
+            `parameters` has values; None where there is none: held, at a bound, or at no minimum.
         differences: Image differences of its picture by name.
         pictures: The same for each of several scenes.
         extra: What a file says besides, which is kept.
@@ -100,6 +102,7 @@ class FitRecord:
     iterations: int = 0
     errors: dict[str, float] = field(default_factory=dict)
     outlier: bool | None = None
+    intervals: dict[str, Any] = field(default_factory=dict)
     differences: dict[str, float] = field(default_factory=dict)
     pictures: dict[str, dict[str, float]] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
@@ -113,7 +116,7 @@ class FitRecord:
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
         found["parameters"] = self.parameters
-        for key in ("errors", "outlier", "differences", "pictures"):
+        for key in ("intervals", "errors", "outlier", "differences", "pictures"):
             if not _is_default(self, key):
                 found[key] = getattr(self, key)
         return found | self.extra
