@@ -69,10 +69,10 @@ def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
     return 0.5 * a.square() * (1 + b.square())
 
 
-def dielectric_and_slope(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor]:
-    """`dielectric`, and its derivative by the index."""
+def dielectric_and_derivative(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor]:
+    """`dielectric`, and its derivative by n."""
     g, a, b = _fresnel_terms(ior, cos_d)
-    # Derivatives by g; that of g by the index is ior / g.
+    # Derivatives by g; that of g by the index is n / g.
     slope_a = 2 * cos_d / (g + cos_d).square()
     slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
     slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
@@ -132,7 +132,7 @@ class LowABC(Lobe):
         sharpness, exponent, ior = scalars
         one_minus_cos = one_minus_cos_h(pairs)
         facets = _facets(pairs, sharpness, exponent)
-        reflected, slope = dielectric_and_slope(ior, pairs.cos_d)
+        reflected, slope = dielectric_and_derivative(ior, pairs.cos_d)
         shape = facets * reflected
         scaled = sharpness * one_minus_cos
         return [
