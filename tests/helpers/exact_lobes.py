@@ -306,7 +306,7 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "beckmann": (exact_beckmann, [unit, decades(0.001, 1), f0s]),
     "gtr": (exact_gtr, [unit, decades(0.001, 1), decades(0.5, 10), f0s]),
     "student_t": (exact_student_t, [unit, decades(0.001, 1), decades(1.51, 40), f0s]),
-    "lafortune": (exact_lafortune, [unit, decades(0.001, 5), decades(0.1, 50_000)]),
+    "lafortune": (exact_lafortune, [unit, st.floats(0, 3), decades(0.1, 50_000)]),
     "he": (exact_he, [unit, decades(0.01, 10), decades(1, 200), decades(1.02, 100)]),
     "ward_duer": (exact_ward_duer, [unit, decades(0.001, 0.5)]),
     "oren_nayar": (exact_oren_nayar, [unit, st.floats(0.001, 1.5)]),

@@ -59,6 +59,7 @@ def test_derivatives_of_the_series() -> None:
     g = torch.tensor([1e-3, 0.5, 5.0, 50.0, 70.0, 900.0], dtype=torch.float64, requires_grad=True)
     x = torch.tensor([0.1, 2.0, 9.0, 30.0, 0.0, 2000.0], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(he_series, (g, x), check_forward_ad=True)
+    assert torch.autograd.gradgradcheck(he_series, (g, x))
 
 
 def test_lambert_w() -> None:

@@ -25,6 +25,14 @@ from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
+from torchbrdf.lobes.roughness import (
+    ROUGHNESS,
+    RoughnessConvention,
+    alpha_to_exponent,
+    alpha_to_roughness,
+    exponent_to_alpha,
+    roughness_to_alpha,
+)
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
@@ -38,6 +46,7 @@ __all__ = [
     "GLTF",
     "GTR",
     "LOBES",
+    "ROUGHNESS",
     "AshikhminShirley",
     "Beckmann",
     "BlinnPhong",
@@ -55,6 +64,7 @@ __all__ = [
     "OrenNayar",
     "Principled",
     "RoughConductor",
+    "RoughnessConvention",
     "ShiftedGamma",
     "StudentT",
     "Sum",
@@ -62,6 +72,8 @@ __all__ = [
     "WardDuer",
     "abc",
     "albedo",
+    "alpha_to_exponent",
+    "alpha_to_roughness",
     "apply_albedo",
     "ashikhmin_shirley",
     "beckmann",
@@ -73,6 +85,7 @@ __all__ = [
     "dielectric",
     "distribution_based",
     "eon",
+    "exponent_to_alpha",
     "from_parameters",
     "ggx",
     "ggx_f82",
@@ -90,6 +103,7 @@ __all__ = [
     "principled",
     "read_fits",
     "roughconductor",
+    "roughness_to_alpha",
     "schlick",
     "shifted_gamma",
     "student_t",

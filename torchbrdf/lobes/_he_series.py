@@ -52,53 +52,72 @@ def lambert_w(z: Tensor) -> Tensor:
 
 
 def he_series(g: Tensor, x: Tensor) -> Tensor:
-    """R(g, x), with its first derivatives by both, in any way of differentiating.
+    """R(g, x), with its first and second derivatives by both, in any way of differentiating.
 
     Args:
         g: at least 0, `(..., N)`.
         x: at least 0, `(..., N)`.
 
     Returns:
-        R, `(..., N)`, and 0 beside its first derivatives to all others.
+        R, `(..., N)`.
     """
     with torch.no_grad():
-        value, by_g, by_x = he_series_and_derivatives(g.detach(), x.detach())
-    # The terms' own graph would be a hundred times as large.
-    return value + by_g * (g - g.detach()) + by_x * (x - x.detach())
+        value, more, most, less, least, both = _sums(g.detach(), x.detach())
+        by_g, by_x, by_gg, by_both = more - value, -less, most - 2 * more + value, less - both
+    # The graph of all the terms would be a hundred times as large as that of Taylor's polynomial.
+    dg, dx = g - g.detach(), x - x.detach()
+    first = value + by_g * dg + by_x * dx
+    return first + 0.5 * by_gg * dg.square() + by_both * (dg * dx) + 0.5 * least * dx.square()
 
 
 def he_series_and_derivatives(g: Tensor, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """R and its derivatives by g and by x."""
+    value, more, _, less, _, _ = _sums(g, x)
+    return value, more - value, -less
+
+
+Sums = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
+
+
+def _sums(g: Tensor, x: Tensor) -> Sums:
+    """The sums of the terms times 1, (m - 1) / g, (m - 1) (m - 2) / g^2, 1 / m, 1 / m^2, and (m - 1) / (g m)."""
     g, x = torch.broadcast_tensors(g, x)
-    g = g.clamp_min(torch.finfo(g.dtype).tiny)
+    g = g.clamp_min(_least(g))
     # log(m / g) = x / m^2 at the peak.
-    peak = g * (lambert_w(2 * x / g.square().clamp_min(1e-30)) / 2).exp()
+    peak = g * (lambert_w(2 * x / g.square()) / 2).exp()
     far = (peak > FAR) & (g > 1)
     if not torch.compiler.is_compiling() and not bool(far.any()):
-        value, by_g, by_x = _near(g, x)
-    else:
-        near = _near(torch.where(far, 1, g), torch.where(far, 0, x))
-        beyond = _far(torch.where(far, g, FAR), torch.where(far, x, 0), torch.where(far, peak, FAR))
-        value, by_g, by_x = (torch.where(far, b, a) for a, b in zip(near, beyond, strict=True))
-    return value, by_g - value, by_x
+        return _near(g, x)
+    near = _near(torch.where(far, 1, g), torch.where(far, 0, x))
+    beyond = _far(torch.where(far, g, FAR), torch.where(far, x, 0), torch.where(far, peak, FAR))
+    value, more, most, less, least, both = (torch.where(far, b, a) for a, b in zip(near, beyond, strict=True))
+    return value, more, most, less, least, both
 
 
-def _near(g: Tensor, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """R, its derivative by g but for -R, and that by x, by the fixed nodes."""
+def _least(g: Tensor) -> float:
+    """A g so small that R is exp(-x), whose square is a normal number."""
+    return torch.finfo(g.dtype).tiny ** 0.4
+
+
+def _near(g: Tensor, x: Tensor) -> Sums:
+    """The sums by the fixed nodes."""
     log_g = g.log()
-    value, by_log, by_x = (torch.zeros_like(g) for _ in range(3))
+    value, more, most, less, least, both = (torch.zeros_like(g) for _ in range(6))
     for m, log_term in _NEAR:
         term = clamped_exp((log_g * (m - 1)).sub_(g).add_(x, alpha=-1 / m).add_(log_term))
         value += term
-        by_log.add_(term, alpha=m - 1)
-        by_x.sub_(term, alpha=1 / m)
-    return value, by_log / g, by_x
+        more.add_(term, alpha=m - 1)
+        most.add_(term, alpha=(m - 1) * (m - 2))
+        less.add_(term, alpha=1 / m)
+        least.add_(term, alpha=1 / m**2)
+        both.add_(term, alpha=(m - 1) / m)
+    return value, more / g, most / g.square(), less, least, both / g
 
 
-def _far(g: Tensor, x: Tensor, peak: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The same about a peak far from 0."""
+def _far(g: Tensor, x: Tensor, peak: Tensor) -> Sums:
+    """The sums about a peak far from 0."""
     step = _STEP * (1 / peak + 2 * x / peak**3).rsqrt()
-    value, by_log, by_x = (torch.zeros_like(g) for _ in range(3))
+    value, more, most, less, least, both = (torch.zeros_like(g) for _ in range(6))
     for k in range(-_SIDE, _SIDE + 1):
         m = peak + k * step
         over = 1 / m
@@ -106,8 +125,12 @@ def _far(g: Tensor, x: Tensor, peak: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         apart = (g - m) * over
         stirling = over * (1 / 12 - over.square() * (1 / 360 - over.square() / 1260))
         term = clamped_exp(m * (torch.log1p(apart) - apart) - x * over - stirling) * over * over.sqrt()
+        share = (m - 1) / g * term
         value += term
-        by_log += (m - 1) * term
-        by_x -= term * over
+        more += share
+        most += (m - 2) / g * share
+        less += term * over
+        least += term * over.square()
+        both += share * over
     scale = step / (math.sqrt(2 * math.pi) * g)
-    return value * scale, by_log * scale / g, by_x * scale
+    return value * scale, more * scale, most * scale, less * scale, least * scale, both * scale

@@ -88,7 +88,7 @@ class Lafortune(Lobe):
 
     specular: BoundedParameter = albedo(start=0.3, upper=5.0, doc="specular albedo, per channel")
     cz: BoundedParameter = BoundedParameter(
-        start=0.95, lower=0.001, upper=1.0, log=True, doc="C_z / |C_xy|; 1 is Phong's lobe, less rises to grazing"
+        start=0.95, lower=0.0, upper=1.0, doc="C_z / |C_xy|; 1 is Phong's lobe, less rises to grazing"
     )
     exponent: BoundedParameter = BoundedParameter(
         start=50.0, lower=0.1, upper=50_000.0, log=True, doc="n, the sharpness of the lobe"
