@@ -50,7 +50,7 @@ def exact_ashikhmin_shirley(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
     return specular * lobe * fresnel(g, f0)
 
 
-def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> mpf:
+def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf, fresnel_table: list[mpf]) -> mpf:
     nodes = [((k + mpf(1) / 2) / len(distribution)) ** 2 * mpmath.pi / 2 for k in range(len(distribution))]
     above = next((k for k, node in enumerate(nodes) if node > g.delta), len(nodes))
     if above in (0, len(nodes)):
@@ -59,7 +59,10 @@ def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> m
         low, high = mpmath.sqrt(nodes[above - 1]), mpmath.sqrt(nodes[above])
         share = (mpmath.sqrt(g.delta) - low) / (high - low)
         table = distribution[above - 1] * (1 - share) + distribution[above] * share
-    return table * masking(g) * fresnel(g, f0) / (4 * g.n_i * g.n_o)
+    position = mpmath.acos(min(mpf(1), g.o_h)) / (mpmath.pi / 2) * (len(fresnel_table) - 1)
+    low = min(int(mpmath.floor(position)), len(fresnel_table) - 2)
+    factor = fresnel_table[low] + (position - low) * (fresnel_table[low + 1] - fresnel_table[low])
+    return table * masking(g) * fresnel(g, f0) * factor / (4 * g.n_i * g.n_o)
 
 
 def exact_blinn_phong(g: Geometry, specular: mpf, n: mpf) -> mpf:
@@ -193,6 +196,7 @@ def exact_charlie(g: Geometry, specular: mpf, a: mpf) -> mpf:
 unit = st.floats(0, 1)
 f0s = st.floats(0.02, 1)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
+fresnel_table = st.lists(st.floats(0.1, 100), min_size=16, max_size=16)
 
 
 def decades(lower: float, upper: float) -> st.SearchStrategy[float]:
@@ -205,7 +209,7 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "ward": (exact_ward, [unit, decades(0.001, 0.5)]),
     "cook_torrance": (exact_cook_torrance, [unit, decades(0.001, 1), f0s]),
     "ashikhmin_shirley": (exact_ashikhmin_shirley, [unit, decades(0.001, 50000), f0s]),
-    "distribution_based": (exact_distribution_based, [table, f0s]),
+    "distribution_based": (exact_distribution_based, [table, f0s, fresnel_table]),
     "blinn_phong": (exact_blinn_phong, [unit, decades(0.001, 200_000)]),
     "abc": (exact_abc, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
     "ggx": (exact_ggx, [unit, decades(0.001, 1), f0s]),
