@@ -18,6 +18,8 @@ class Geometry:
         half = [a + b for a, b in zip(wi, wo, strict=True)]
         length = mpmath.sqrt(sum(x * x for x in half))
         self.half = [x / length for x in half]
+        apart = mpmath.sqrt(sum((a - b) ** 2 for a, b in zip(wi, wo, strict=True)))
+        self.theta_d = mpmath.atan2(apart, length)
         self.n_i, self.n_o, self.n_h = wi[2], wo[2], self.half[2]
         self.o_h = sum(a * b for a, b in zip(wo, self.half, strict=True))
         self.delta = mpmath.atan2(mpmath.sqrt(self.half[0] ** 2 + self.half[1] ** 2), self.n_h)
@@ -59,7 +61,7 @@ def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf, fres
         low, high = mpmath.sqrt(nodes[above - 1]), mpmath.sqrt(nodes[above])
         share = (mpmath.sqrt(g.delta) - low) / (high - low)
         table = distribution[above - 1] * (1 - share) + distribution[above] * share
-    position = mpmath.acos(min(mpf(1), g.o_h)) / (mpmath.pi / 2) * (len(fresnel_table) - 1)
+    position = g.theta_d / (mpmath.pi / 2) * (len(fresnel_table) - 1)
     low = min(int(mpmath.floor(position)), len(fresnel_table) - 2)
     factor = fresnel_table[low] + (position - low) * (fresnel_table[low + 1] - fresnel_table[low])
     return table * masking(g) * fresnel(g, f0) * factor / (4 * g.n_i * g.n_o)
