@@ -23,8 +23,9 @@ from torchbrdf.lobes.parameter_dict import ParameterDict, component_names
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.pairs import Pairs
 
-# Pairs of a block.
-BLOCK = 16
+# Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
+SMALL_BLOCK, LARGE_BLOCK = 16, 64
+MANY = 200_000
 # Numbers of a lobe: both tables of a channel.
 TABLES = NODES + FRESNEL_NODES
 CELLS = (NODES - 1) * (FRESNEL_NODES - 1)
@@ -43,11 +44,12 @@ def is_tabulated(model: Lobe) -> bool:
 class Blocks:
     """Pairs sorted into blocks of one cell each.
 
-    pairs: `(p, B * BLOCK)`, filled up with others of no weight; sample: which of the pairs each is; real: whether it
-    is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
+    block: pairs of one; pairs: `(p, B * block)`, filled up with others of no weight; sample: which of the pairs each
+    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
     above, of each pair.
     """
 
+    block: int
     pairs: Pairs
     sample: Tensor
     real: Tensor
@@ -61,27 +63,32 @@ class Blocks:
         """Sort pairs `(p, N)`, of which a loss needs what lobes do, and `needs`."""
         low_h, share_h = distribution_place(pairs, NODES)
         low_d, share_d = fresnel_place(pairs, FRESNEL_NODES)
+        block = SMALL_BLOCK if len(pairs) < MANY else LARGE_BLOCK
         cell, order = (low_h * (FRESNEL_NODES - 1) + low_d).sort(dim=-1, stable=True)
         count = torch.zeros(len(cell), CELLS, dtype=torch.int64, device=cell.device)
         count.scatter_add_(1, cell, torch.ones_like(cell))
-        blocks = (count + BLOCK - 1) // BLOCK
+        blocks = (count + block - 1) // block
         rank = torch.arange(cell.shape[1], dtype=torch.int64, device=cell.device) - _before(count).gather(1, cell)
-        place = _before(blocks).gather(1, cell) * BLOCK + rank
+        place = _before(blocks).gather(1, cell) * block + rank
         size = int(blocks.sum(1).max())
-        sample = torch.zeros(len(cell), size * BLOCK, dtype=torch.int64, device=cell.device).scatter_(1, place, order)
+        sample = torch.zeros(len(cell), size * block, dtype=torch.int64, device=cell.device).scatter_(1, place, order)
         real = torch.zeros_like(sample, dtype=torch.bool).scatter_(1, place, True)
         of_block = torch.zeros(len(cell), size, dtype=torch.int64, device=cell.device)
-        of_block.scatter_(1, place // BLOCK, cell)
+        of_block.scatter_(1, place // block, cell)
         names = dict.fromkeys((*QUANTITIES, *needs))
         picked = Pairs(**{name: getattr(pairs, name).gather(1, sample) for name in names})
         columns = FRESNEL_NODES - 1
         shares = (share.gather(1, sample) for share in (share_h, share_d))
-        return cls(picked, sample, real, of_block // columns, of_block % columns, *shares)
+        return cls(block, picked, sample, real, of_block // columns, of_block % columns, *shares)
 
     @property
     def nearest_h(self) -> Tensor:
-        """The node of D nearest to each pair, `(p, B * BLOCK)`."""
-        return self.low_h.repeat_interleave(BLOCK, 1) + (self.share_h > 0.5)
+        """The node of D nearest to each pair, `(p, B * block)`."""
+        return self.low_h.repeat_interleave(self.block, 1) + (self.share_h > 0.5)
+
+    def samples(self, part: slice) -> slice:
+        """The pairs of some blocks."""
+        return slice(part.start * self.block, part.stop * self.block)
 
     def spread(self, values: Tensor) -> Tensor:
         """Values of each channel of the pairs, `(c, N)`, in the order of the blocks."""
@@ -132,7 +139,7 @@ class TabulatedProblem:
         return len(self.target)
 
     def _weights(self) -> Tensor:
-        """The weight of each pair, `(3 M | 3 | 1, B * BLOCK)`, 0 of those that fill up."""
+        """The weight of each pair, `(3 M | 3 | 1, B * block)`, 0 of those that fill up."""
         weight = channels.effective_weight(self.loss, self.problem.pairs, self.problem.weight)
         if weight is None:
             found = torch.ones_like(self.target[:1])
@@ -150,10 +157,10 @@ class TabulatedProblem:
         rows = torch.arange(len(self), dtype=torch.int64, device=self.target.device)
         sums = torch.zeros(3, len(self), dtype=torch.float64, device=self.target.device)
         for part in self._parts(len(self)):
-            pairs, target = self._pairs(part, rows), self.target[:, _samples(part)]
+            pairs, target = self._pairs(part, rows), self.target[:, self.blocks.samples(part)]
             code, zero = (self.loss.encode(x[..., None], pairs)[..., 0] for x in (target, torch.zeros_like(target)))
-            self.code[:, _samples(part)] = code
-            weight = self.weight[:, _samples(part)].expand_as(code)
+            self.code[:, self.blocks.samples(part)] = code
+            weight = self.weight[:, self.blocks.samples(part)].expand_as(code)
             terms = weight, weight * self.loss.penalty(zero - code), weight * code.abs()
             sums += torch.stack([term.sum(1, dtype=torch.float64) for term in terms])
         total = torch.where(sums[0] > 0, sums[0], 1)
@@ -165,13 +172,13 @@ class TabulatedProblem:
     def _parts(self, rows: int) -> Iterator[slice]:
         """Blocks in parts, so small that what is made of them stays in the cache."""
         count = self.blocks.low_h.shape[1]
-        step = max(1, CHUNK.get(self.target.device.type, CHUNK["cpu"]) // (rows * BLOCK))
+        step = max(1, CHUNK.get(self.target.device.type, CHUNK["cpu"]) // (rows * self.blocks.block))
         for start in range(0, count, step):
             yield slice(start, start + step)
 
     def _pairs(self, part: slice, rows: Tensor) -> Pairs:
         """The pairs of some blocks, of each problem, `(1 | r, n)`."""
-        pairs = self.blocks.pairs.select(samples=_samples(part))
+        pairs = self.blocks.pairs.select(samples=self.blocks.samples(part))
         return pairs if pairs.shape[0] == 1 else pairs.select(rows // 3)
 
     def _penalties(self, smooth: float) -> Tensor:
@@ -255,11 +262,13 @@ class _State:
         self.variables = torch.cat([torch.zeros_like(own[:, :1])] * problem.base + [own + one for one in firsts], 1)
 
     def terms(self, part: slice) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of the pairs of some blocks: penalties, their slopes and curvatures by values, `(r, b, BLOCK)`, all weighted,
-        and the derivatives of values by a cell's variables, `(r, b, columns, BLOCK)`.
+        """Of the pairs of some blocks: penalties, and their derivatives.
+
+        Penalties, slopes and curvatures by values, `(r, b, block)`, all weighted; the derivatives of values by a cell's
+        variables, `(r, b, columns, block)`.
         """
         problem, rows = self.problem, self.rows
-        samples, pairs = _samples(part), problem._pairs(part, rows)
+        samples, pairs = problem.blocks.samples(part), problem._pairs(part, rows)
         value, basis = self._value_and_basis(part, pairs)
         code, rate = (x[..., 0] for x in problem.loss.encode_with_derivative(value.flatten(1)[..., None], pairs))
         width = None if problem.width is None else problem.width[rows, None].to(code)
@@ -268,26 +277,26 @@ class _State:
         difference = code - problem.code[rows, samples]
         penalty, slope, curve = problem.loss.penalty_with_derivatives(difference, width)
         penalty, slope, curve = penalty * weight, slope * rate * weight, curve * rate.square() * weight
-        return *(x.unflatten(1, (-1, BLOCK)) for x in (penalty, slope, curve)), basis
+        return *(x.unflatten(1, (-1, problem.blocks.block)) for x in (penalty, slope, curve)), basis
 
     def _value_and_basis(self, part: slice, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Values `(r, b, BLOCK)` and derivatives."""
+        """Values `(r, b, block)` and derivatives."""
         problem, blocks = self.problem, self.problem.blocks
-        samples = _samples(part)
+        samples, block = blocks.samples(part), blocks.block
 
         def own(x: Tensor) -> Tensor:
             return x if len(x) == 1 else x[self.rows // 3]
 
         low_h, low_d = own(blocks.low_h[:, part]), own(blocks.low_d[:, part])
         share_h, share_d, geometry = (
-            own(x[:, samples]).unflatten(1, (-1, BLOCK)) for x in (blocks.share_h, blocks.share_d, problem.geometry)
+            own(x[:, samples]).unflatten(1, (-1, block)) for x in (blocks.share_h, blocks.share_d, problem.geometry)
         )
-        above = pairs.above_horizon.unflatten(-1, (-1, BLOCK)) / math.pi
+        above = pairs.above_horizon.unflatten(-1, (-1, block)) / math.pi
         above = above.to(geometry.dtype).expand(len(self.rows), -1, -1)
         value = above * self.albedo[:, None, None]
         basis = [above] * problem.base
         for k, f0 in enumerate(self.f0):
-            shape = geometry * fresnel(f0, pairs).unflatten(-1, (-1, BLOCK))
+            shape = geometry * fresnel(f0, pairs).unflatten(-1, (-1, block))
             d = [_nodes(self.distribution[:, k], low_h + i) for i in (0, 1)]
             f = [_nodes(self.factor[:, k], low_d + i) for i in (0, 1)]
             d = [d[0] * (1 - share_h), d[1] * share_h]
@@ -301,8 +310,3 @@ class _State:
 def _nodes(table: Tensor, index: Tensor) -> Tensor:
     """Entries of tables `(r, K)` at `(1 | r, b)`, `(r, b, 1)`."""
     return (table[:, index[0]] if len(index) == 1 else table.gather(1, index))[..., None]
-
-
-def _samples(part: slice) -> slice:
-    """The pairs of some blocks."""
-    return slice(part.start * BLOCK, part.stop * BLOCK)
