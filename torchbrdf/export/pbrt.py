@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
+from torchbrdf.export.shading import visible
 from torchbrdf.export.spectra import WAVELENGTHS, to_spectra
 from torchbrdf.files import write_text
 from torchbrdf.lobes import GGX, LOBES, BoundedParameter, Lambert, Lobe, ggx
@@ -45,7 +46,7 @@ class Pbrt(Exporter):
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the table, if there has to be one, and the material that names it."""
         path = material.path(folder, self.suffix)
-        seen = _seen(material.brdf)
+        seen = _only(material.brdf)
         if isinstance(seen, Lambert):
             settings: list[Setting] = [("string type", "diffuse"), ("rgb reflectance", numbers(seen.albedo))]
             notes = ["exact: pbrt's diffuse"]
@@ -123,15 +124,12 @@ def near_conductor(lobe: Lobe) -> PbrtConductor | None:
     return PbrtConductor(reflectance=found[0].float(), roughness=alpha)
 
 
-def _seen(brdf: Brdf) -> Lobe | None:
+def _only(brdf: Brdf) -> Lobe | None:
     """The only lobe of a model that is not black; None if it has several, or is a measurement."""
     if not isinstance(brdf, Lobe):
         return None
-    albedos = [(component, type(component).albedo_spec()) for component in brdf.components()]
-    seen = [one for one, spec in albedos if spec is None or bool(getattr(one, spec.name).any())]
-    if not seen:
-        return Lambert(albedo=0.0)
-    return seen[0] if len(seen) == 1 else None
+    part, *more = visible(brdf) or [Lambert(albedo=0.0)]
+    return None if more else part
 
 
 def write_spectra(path: Path, material: Material) -> Measured:
