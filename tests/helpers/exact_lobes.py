@@ -18,6 +18,7 @@ class Geometry:
         half = [a + b for a, b in zip(wi, wo, strict=True)]
         length = mpmath.sqrt(sum(x * x for x in half))
         self.half = [x / length for x in half]
+        self.wi, self.wo = wi, wo
         self.n_i, self.n_o, self.n_h = wi[2], wo[2], self.half[2]
         self.o_h = sum(a * b for a, b in zip(wo, self.half, strict=True))
         self.delta = mpmath.atan2(mpmath.sqrt(self.half[0] ** 2 + self.half[1] ** 2), self.n_h)
@@ -190,7 +191,43 @@ def exact_charlie(g: Geometry, specular: mpf, a: mpf) -> mpf:
     return specular * d / (4 * (g.n_i + g.n_o - g.n_i * g.n_o))
 
 
+def exact_ggx_distribution(g: Geometry, a: mpf) -> mpf:
+    return exact_gtr_distribution(g, a, mpf(2))
+
+
+def separable(g: Geometry, a: mpf) -> mpf:
+    """Smith's G / (4 cos_i cos_o) of GGX, with heights uncorrelated."""
+    lit = [1 + ggx_lambda(a)(mpmath.sqrt(1 - c**2) / c) for c in (g.n_i, g.n_o)]
+    return 1 / (lit[0] * lit[1]) / (4 * g.n_i * g.n_o)
+
+
+def f82(g: Geometry, f0: mpf, tint: mpf) -> mpf:
+    """Kutz et al., with b from the condition at cos(theta) = 1/7 itself."""
+
+    def schlick(cosine: mpf) -> mpf:
+        return f0 + (1 - f0) * (1 - cosine) ** 5
+
+    at = mpf(1) / 7
+    b = schlick(at) * (1 - tint) / (at * (1 - at) ** 6)
+    return schlick(g.o_h) - b * g.o_h * (1 - g.o_h) ** 6
+
+
+def exact_ggx_f82(g: Geometry, f0: mpf, tint: mpf, a: mpf, weight: mpf) -> mpf:
+    return weight * exact_ggx_distribution(g, a) * correlated(g, ggx_lambda(a)) * f82(g, f0, tint)
+
+
+def exact_roughconductor(g: Geometry, specular: mpf, a: mpf, eta: mpf, k: mpf) -> mpf:
+    """With Fresnel's equations for a complex index of refraction."""
+    index = mpmath.mpc(eta, k)
+    refracted = mpmath.sqrt(1 - (1 - g.o_h**2) / index**2)
+    across = (g.o_h - index * refracted) / (g.o_h + index * refracted)
+    along = (index * g.o_h - refracted) / (index * g.o_h + refracted)
+    reflected = (abs(across) ** 2 + abs(along) ** 2) / 2
+    return specular * exact_ggx_distribution(g, a) * separable(g, a) * reflected
+
+
 unit = st.floats(0, 1)
+shares = st.floats(0.02, 1)
 f0s = st.floats(0.02, 1)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
 
@@ -214,6 +251,8 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "ward_duer": (exact_ward_duer, [unit, decades(0.001, 0.5)]),
     "oren_nayar": (exact_oren_nayar, [unit, st.floats(0.001, 1.5)]),
     "eon": (exact_eon, [unit, st.one_of(st.just(0.0), st.floats(0.01, 1))]),
+    "ggx_f82": (exact_ggx_f82, [shares, st.floats(0.52, 1), decades(0.001, 1), unit]),
+    "roughconductor": (exact_roughconductor, [unit, decades(0.001, 1), decades(0.02, 10), decades(0.02, 20)]),
     "charlie": (exact_charlie, [unit, decades(0.01, 1)]),
     "shifted_gamma": (
         exact_shifted_gamma,

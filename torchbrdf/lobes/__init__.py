@@ -10,14 +10,19 @@ from torchbrdf.lobes.charlie import Charlie, charlie
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.eon import EON, eon
-from torchbrdf.lobes.fresnel import schlick
+from torchbrdf.lobes.fresnel import conductor, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
+from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
+from torchbrdf.lobes.gltf import GLTF, gltf
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
+from torchbrdf.lobes.openpbr import OpenPBR, openpbr
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.principled import Principled, principled
 from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
+from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
@@ -26,6 +31,8 @@ from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
 __all__ = [
     "EON",
     "GGX",
+    "GGXF82",
+    "GLTF",
     "GTR",
     "LOBES",
     "AshikhminShirley",
@@ -39,7 +46,10 @@ __all__ = [
     "Lambert",
     "Lobe",
     "LowABC",
+    "OpenPBR",
     "OrenNayar",
+    "Principled",
+    "RoughConductor",
     "ShiftedGamma",
     "Sum",
     "Ward",
@@ -52,20 +62,26 @@ __all__ = [
     "blinn_phong",
     "charlie",
     "clamp_cosine",
+    "conductor",
     "cook_torrance",
     "dielectric",
     "distribution_based",
     "eon",
     "from_parameters",
     "ggx",
+    "ggx_f82",
+    "gltf",
     "gtr",
     "lambert",
     "make_model",
     "model_name",
     "model_of",
+    "openpbr",
     "oren_nayar",
     "parameters",
+    "principled",
     "read_fits",
+    "roughconductor",
     "schlick",
     "shifted_gamma",
     "ward",

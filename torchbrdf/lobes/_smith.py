@@ -1,7 +1,8 @@
-"""Smith's shadowing and masking with correlated heights, G / (4 cos_i cos_o), and its derivatives by the roughness.
+"""Smith's shadowing and masking, G / (4 cos_i cos_o), and its derivatives by the roughness.
 
-G = 1 / (1 + Lambda(wi) + Lambda(wo)). Source: E. Heitz, Understanding the Masking-Shadowing Function in
-Microfacet-Based BRDFs, 2014, JCGT 3(2), eq. 99 and its table of Lambda.
+G = 1 / (1 + Lambda(wi) + Lambda(wo)) with correlated heights, which most renderers have, and
+1 / ((1 + Lambda(wi)) (1 + Lambda(wo))) without, which Mitsuba has. Source: E. Heitz, Understanding the
+Masking-Shadowing Function in Microfacet-Based BRDFs, 2014, JCGT 3(2), eq. 98, 99 and its table of Lambda.
 """
 
 import math
@@ -29,6 +30,17 @@ def ggx_visibility_and_log_derivative(pairs: Pairs, roughness: Tensor) -> tuple[
     total = cos_o * s_i + cos_i * s_o
     slope = cos_o * (1 - cos_i.square()) / s_i + cos_i * (1 - cos_o.square()) / s_o
     return safe_ratio(0.5, total), slope * -roughness / total
+
+
+def ggx_separable_visibility_and_log_derivative(pairs: Pairs, roughness: Tensor) -> tuple[Tensor, Tensor]:
+    """G / (4 cos_i cos_o) of GGX with uncorrelated heights, 1 / ((cos_i + s_i) (cos_o + s_o)).
+
+    And the derivative of its logarithm by a, -a (sin_i^2 / (s_i (cos_i + s_i)) + sin_o^2 / (s_o (cos_o + s_o))).
+    """
+    cos_i, cos_o, s_i, s_o = _ggx_terms(pairs, roughness)
+    sum_i, sum_o = cos_i + s_i, cos_o + s_o
+    slope = (1 - cos_i.square()) / (s_i * sum_i) + (1 - cos_o.square()) / (s_o * sum_o)
+    return (sum_i * sum_o).reciprocal(), slope * -roughness
 
 
 def _ggx_terms(pairs: Pairs, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -1,5 +1,6 @@
-"""Schlick's approximation of Fresnel's reflectance."""
+"""Fresnel's reflectance: Schlick's approximation, and that of metals."""
 
+import torch
 from torch import Tensor
 
 from torchbrdf.pairs import Pairs
@@ -43,3 +44,36 @@ def _fifth(cos_d: Tensor) -> Tensor:
 
 def _blend(f0: Tensor, fifth: Tensor) -> Tensor:
     return f0 + (1 - f0) * fifth
+
+
+def conductor(eta: Tensor, k: Tensor, cos_d: Tensor) -> Tensor:
+    """Fresnel's reflectance of unpolarized light for a metal of the index of refraction eta + i k.
+
+    Args:
+        eta: real part, above 0; broadcasts against cos_d.
+        k: imaginary part, from 0 on.
+        cos_d: cosine of the angle of incidence.
+
+    Returns:
+        The reflectance, in [0, 1].
+
+    Source: M. Born and E. Wolf, Principles of Optics, 1999, section 14.2.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.lobes import conductor
+        >>> conductor(torch.tensor(0.2), torch.tensor(3.0), torch.tensor([1.0, 0.5, 0.0]))
+        tensor([0.9234, 0.9184, 1.0000])
+    """
+    square = cos_d.square()
+    sine = 1 - square
+    real, imaginary = eta.square() - k.square() - sine, 2 * eta * k
+    # a^2 + b^2 and a^2 of the refracted cosine times the index, a + i b; a by way of b where real is below 0.
+    length = (real.square() + imaginary.square()).sqrt()
+    larger = (0.5 * (length + real.abs())).sqrt()
+    a = torch.where(real > 0, larger, 0.5 * imaginary / larger)
+    cross = 2 * a * cos_d
+    across = (length + square - cross) / (length + square + cross)
+    along = square * length + sine.square()
+    along = (along - cross * sine) / (along + cross * sine)
+    return 0.5 * across * (1 + along)

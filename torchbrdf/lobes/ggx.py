@@ -43,11 +43,11 @@ def ggx(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor) -> Tensor
         >>> ggx(pairs, colour, torch.tensor([0.1]), torch.tensor([0.3]))
         tensor([[0.0108, 0.0215, 0.0323]])
     """
-    facets = _distribution(roughness, tangent(pairs)) * ggx_visibility(pairs, roughness)
+    facets = ggx_distribution(roughness, tangent(pairs)) * ggx_visibility(pairs, roughness)
     return apply_albedo(pairs, facets * fresnel(f0, pairs), specular)
 
 
-def _distribution(roughness: Tensor, tan2: Tensor) -> Tensor:
+def ggx_distribution(roughness: Tensor, tan2: Tensor) -> Tensor:
     """D = (a (1 + tan2_h) / (a^2 + tan2_h))^2 / pi."""
     return ((1 + tan2) / (roughness.square() + tan2)).square() * (roughness.square() / math.pi)
 
@@ -80,7 +80,7 @@ class GGX(Lobe):
         """d/da = shape (2 / a - 4 a / (a^2 + tan2_h) + d log G / da), d/dF0 = shape / F (1 - (1 - cos_d)^5)."""
         roughness, f0 = scalars
         visibility, slope = ggx_visibility_and_log_derivative(pairs, roughness)
-        facets = _distribution(roughness, tangent(pairs)) * visibility
+        facets = ggx_distribution(roughness, tangent(pairs)) * visibility
         shape = facets * fresnel(f0, pairs)
         slope = slope + 2 / roughness - 4 * roughness / (roughness.square() + tangent(pairs))
         return [shape, shape * slope, facets * (1 - schlick_weight(pairs))]
