@@ -24,8 +24,8 @@ from torchbrdf.render import Mesh, find_mesh
 ROUNDING = 1e-5
 # Of what is given without one.
 NAMELESS = "material"
-# Degrees from the normal up to which a measurement is expected to reach.
-FAR_ENOUGH = 80.0
+# Degrees from the normal up to which a measurement is expected to reach; RGL's go to 78.
+FAR_ENOUGH = 75.0
 
 
 def export(
@@ -116,8 +116,9 @@ def _unmeasured(material: Material) -> list[str]:
         return []
     valid = material.brdf.weight[..., 0] > 0
     pairs = material.brdf.pairs
-    lowest = torch.minimum(pairs.cos_i, pairs.cos_o).expand_as(valid)[valid]
-    farthest = math.degrees(math.acos(float(lowest.min().clamp(0, 1)))) if len(lowest) else 0.0
+    lowest = [cosine.expand_as(valid)[valid] for cosine in (pairs.cos_i, pairs.cos_o)]
+    # Of the two directions the one that reaches less far: many instruments go to 90 degrees with the other.
+    farthest = min(math.degrees(math.acos(float(one.min().clamp(0, 1)))) if len(one) else 0.0 for one in lowest)
     if farthest >= FAR_ENOUGH:
         return []
     return [f"measured up to {farthest:.0f} degrees from the normal; what lies beyond is the nearest that was measured"]
