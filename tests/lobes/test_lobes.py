@@ -337,7 +337,7 @@ def test_a_constructor_of_ones_own_is_shown() -> None:
 
     assert str(inspect.signature(Half)) == "(share: float)"
     assert Half(0.25).specular.tolist() == [0.25] * 3
-    assert list(inspect.signature(Sum).parameters) == ["lobes"]
+    assert list(inspect.signature(Sum).parameters) == ["lobes", "shared"]
 
 
 @every_lobe

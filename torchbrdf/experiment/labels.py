@@ -1,7 +1,7 @@
 """Names of models, losses and differences for people, and what has to be said of results."""
 
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.lobes.model import JOIN
+from torchbrdf.lobes.model import JOIN, SHARE
 from torchbrdf.losses import LOSSES
 
 STAND_IN = "stand-in materials, not measurements"
@@ -61,7 +61,12 @@ def model_label(name: str) -> str:
     Example:
         >>> model_label("cook_torrance"), model_label("oren_nayar+ggx")
         ('Cook-Torrance', 'Oren-Nayar + GGX')
+        >>> model_label("ggx:f0")
+        'GGX, one f0'
     """
+    name, colon, shared = name.partition(SHARE)
+    if colon:
+        return f"{model_label(name)}, one {shared.replace(',', ', ')}"
     if JOIN in name:
         return f" {JOIN} ".join(map(model_label, name.split(JOIN)))
     return MODEL_LABELS.get(name) or "-".join(word.capitalize() for word in name.split("_"))

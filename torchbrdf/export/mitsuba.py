@@ -4,15 +4,18 @@ W. Jakob et al., Mitsuba 3 renderer, 2022, https://mitsuba-renderer.org.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import torch
+from torch import Tensor
+
 from torchbrdf.export.api import material_of, write
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
 from torchbrdf.files import write_text
-from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
+from torchbrdf.lobes import LOBES, FitRecord, Lobe
 
 Bsdf = dict[str, Any]
 """A BSDF as `mitsuba.load_dict` takes it."""
@@ -22,16 +25,15 @@ VERSION = "3.0.0"
 TABLE = ".bsdf"
 
 
-def _diffuse(lobe: Lobe) -> Bsdf:
-    return {"type": "diffuse", "reflectance": _rgb(lobe.albedo)}
-
-
-def _rgb(value: Any) -> dict[str, Any]:
-    return {"type": "rgb", "value": numbers(value)}
-
-
-# The lobes that Mitsuba has in the same form, by their registered names.
-PLUGINS: dict[str, Callable[[Any], Bsdf]] = {"lambert": _diffuse}
+# Parameters of Mitsuba's plugins that have other names here.
+NAMES = {"albedo": "reflectance", "roughness": "alpha", "specular": "specular_reflectance"}
+# The lobes that Mitsuba has in the same form, by their registered names: a plugin with settings, its parameter that
+# scales it, if there is one, and how its other parameters are called.
+PLUGINS: dict[str, tuple[Bsdf, str | None, dict[str, str]]] = {
+    "lambert": ({"type": "diffuse"}, "albedo", NAMES),
+    "roughconductor": ({"type": "roughconductor", "distribution": "ggx"}, "specular", NAMES),
+    "principled": ({"type": "principled"}, None, {}),
+}
 
 
 def mitsuba_dict(brdf: Brdf | FitRecord | str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Bsdf:
@@ -59,20 +61,63 @@ def mitsuba_dict(brdf: Brdf | FitRecord | str | os.PathLike[str], folder: str | 
 
 
 def plugin_of(brdf: Brdf) -> Bsdf | None:
-    """The BSDF of Mitsuba that is the same function; None if there is none."""
+    """The BSDF of Mitsuba that is the same function; None if there is none.
+
+    A sum is a blend, whose weights add up to 1: each lobe is as much brighter as its weight is below 1.
+    """
     if not isinstance(brdf, Lobe):
         return None
-    components = [one for one in brdf.components() if not _is_black(one)]
-    name = LOBES.name_of(type(components[0])) if len(components) == 1 else None
-    if not components:
-        return _diffuse(Lambert(albedo=0.0))
-    return PLUGINS[name](components[0]) if name in PLUGINS else None
+    components = brdf.components()
+    heights = [_height(component) for component in components]
+    seen = [one for one, height in zip(components, heights, strict=True) if height] or components[:1]
+    if any(LOBES.name_of(type(component)) not in PLUGINS for component in seen):
+        return None
+    if len(seen) == 1:
+        return _plugin(seen[0], 1.0)
+    if None in map(_scale, seen):
+        return None
+    return _blend(seen, [_height(component) for component in seen])
 
 
-def _is_black(lobe: Lobe) -> bool:
-    """Whether a lobe has the albedo 0, as a diffuse term beside a metal often has."""
+def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) -> Bsdf:
+    """A blend of the first lobe and of the blend of the others; share: the weight of all of them in the whole."""
+    first, *others = lobes
+    if not others:
+        return _plugin(first, 1 / share)
+    weight = numbers(torch.tensor([sum(heights[1:]) / sum(heights)]))[0]
+    return {
+        "type": "blendbsdf",
+        "weight": weight,
+        "bsdf_0": _plugin(first, 1 / (share * (1 - weight))),
+        "bsdf_1": _blend(others, heights[1:], share * weight),
+    }
+
+
+def _plugin(lobe: Lobe, factor: float) -> Bsdf:
+    """The plugin of a lobe, whose colour is multiplied."""
+    settings, scale, names = PLUGINS[str(LOBES.name_of(type(lobe)))]
+    made = dict(settings)
+    for own in lobe.parameter_specs:
+        value: Tensor = getattr(lobe, own).detach().double() * (factor if own == scale else 1.0)
+        found = numbers(value)
+        made[names.get(own, own)] = found[0] if len(found) == 1 else _color(found)
+    return made
+
+
+def _color(channels: list[float]) -> Bsdf:
+    """A colour; one above 1 only goes with a plugin that does not check it."""
+    color = {"type": "rgb", "value": channels}
+    return color if max(channels) <= 1 else {"type": "srgb", "color": color, "unbounded": True}
+
+
+def _scale(lobe: Lobe) -> str | None:
+    return PLUGINS[str(LOBES.name_of(type(lobe)))][1]
+
+
+def _height(lobe: Lobe) -> float:
+    """The largest channel of its albedo; 1 for a lobe that has none."""
     albedo = type(lobe).albedo_spec()
-    return albedo is not None and not bool(getattr(lobe, albedo.name).any())
+    return 1.0 if albedo is None else float(getattr(lobe, albedo.name).detach().max())
 
 
 @EXPORTERS.register("mitsuba")
@@ -88,29 +133,38 @@ class Mitsuba(Exporter):
         plugin = plugin_of(material.brdf)
         if plugin is not None:
             write_text(path, to_xml(plugin, material.name))
-            return Exported([path], True, [f"exact: Mitsuba's {plugin['type']}"], material.brdf)
+            return Exported([path], True, [f"exact: Mitsuba's {_types(plugin)}"], material.brdf)
         table = EXPORTERS["rgl"]().write(material, folder)
         write_text(path, to_xml({"type": "measured", "filename": table.files[0].name}, material.name))
         return Exported([path, *table.files], False, table.notes, table.shown)
 
 
+def _types(plugin: Bsdf) -> str:
+    """The types of a plugin, and of those that it blends."""
+    nested = [_types(plugin[name]) for name in ("bsdf_0", "bsdf_1") if name in plugin]
+    return " + ".join(nested) if nested else str(plugin["type"])
+
+
 def to_xml(plugin: Bsdf, name: str) -> str:
     """A BSDF as the text of an XML file."""
-    root = _element(plugin, {"version": VERSION, "type": plugin["type"], "id": name})
+    root = ElementTree.Element("bsdf", version=VERSION, type=plugin["type"], id=name)
+    root.extend(_elements(plugin))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _element(plugin: Bsdf, attributes: dict[str, str]) -> ElementTree.Element:
-    made = ElementTree.Element("bsdf", attributes)
+def _elements(plugin: Bsdf) -> Iterator[ElementTree.Element]:
+    """What stands inside the element of a plugin."""
     for name, value in plugin.items():
+        if name == "type":
+            continue
         if isinstance(value, dict) and value["type"] == "rgb":
-            made.append(ElementTree.Element("rgb", name=name, value=", ".join(map(repr, value["value"]))))
+            yield ElementTree.Element("rgb", name=name, value=", ".join(map(repr, value["value"])))
         elif isinstance(value, dict):
-            made.append(_element(value, {"type": value["type"], "name": name}))
-        elif name != "type":
+            kind = "texture" if value["type"] == "srgb" else "bsdf"
+            made = ElementTree.Element(kind, type=value["type"], name=name)
+            made.extend(_elements(value))
+            yield made
+        else:
             kind = {bool: "boolean", float: "float", str: "string"}[type(value)]
-            made.append(
-                ElementTree.Element(kind, name=name, value=str(value).lower() if kind == "boolean" else str(value))
-            )
-    return made
+            yield ElementTree.Element(kind, name=name, value=str(value).lower() if kind == "boolean" else str(value))

@@ -105,7 +105,7 @@ def fit(
     if isinstance(strategy, str):
         STRATEGIES[strategy]
     loss = as_loss(loss)
-    diffuse = diffuse_mode(diffuse, loss)
+    diffuse = diffuse_mode(diffuse, loss, model)
     if loss.objective == "autograd" or not loss.has_closed_derivatives:
         warnings.warn(
             f"{loss.registered_name}: no derivatives of its own: fits differentiate it by autograd, which is slower",
@@ -155,16 +155,31 @@ def fit(
     )
 
 
-def diffuse_mode(diffuse: str | None, loss: Loss) -> str:
-    """How a fit under a loss treats the diffuse albedo, one of DIFFUSE_MODES: as asked for, or as the loss has it.
+def diffuse_mode(diffuse: str | None, loss: Loss, model: Lobe | None = None) -> str:
+    """How a fit under a loss treats the diffuse albedo, one of DIFFUSE_MODES.
+
+    Args:
+        diffuse: what is asked for; None: as the loss has it, but "fit" for a model whose diffuse reflection is not
+            Lambert's, or is a part of a whole material.
+        loss: of the fit.
+        model: of the fit.
 
     Raises:
-        UsageError: there is no such mode.
+        UsageError: there is no such mode, or the model has no albedo to measure.
     """
     mode = loss.default_diffuse if diffuse is None else diffuse
     if mode not in DIFFUSE_MODES:
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {mode!r}")
-    return mode
+    without = [
+        type(part)
+        for part in (model.components() if model is not None else [])
+        if part.is_material or (part.is_diffuse and not isinstance(part, Lambert))
+    ]
+    if mode == "fit" or not without:
+        return mode
+    if diffuse is None:
+        return "fit"
+    raise UsageError(f"diffuse: expected fit for {without[0].__name__}, found {mode}, which is of Lambert alone")
 
 
 REASONS = {
@@ -313,8 +328,7 @@ def _set_diffuse(model: Lobe, measured: Measured) -> None:
     if len(diffuse) > 1:
         raise ShapeError(f"fit: expected at most one diffuse term, found {len(diffuse)}")
     for part in diffuse:
-        if not isinstance(part, Lambert):
-            raise UsageError(f"diffuse: expected fit for {type(part).__name__}, found 45:0, which is of Lambert alone")
+        assert isinstance(part, Lambert)  # as diffuse_mode saw to it
         part.albedo.data = measured.diffuse_45_0().to(part.albedo)
 
 

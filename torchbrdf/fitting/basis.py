@@ -1,66 +1,118 @@
 """What a model is made of where derivatives are taken without a graph.
 
-Such a model is a sum of colours times scalar functions, f_c = sum_k color_kc s_k. All derivatives then follow from a
-few responses a pair, the s_k and their derivatives by the lobes' scalars, which all channels share.
+Such a model is a sum of coefficients times terms, f_c = sum_j A_cj s_j: of a colour times a scalar function for most
+lobes, of several coloured terms for others. All derivatives then follow from a few responses a pair, the s_j and their
+derivatives by the lobes' scalars, which all channels share, and from how the A_cj change, which no pair knows.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.fitting.parameters import Parametrization
+from torchbrdf.fitting.parameters import FreeParameter, Parametrization
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, get_parameters
+from torchbrdf.lobes.separable import coefficient_slopes, pattern
 from torchbrdf.pairs import Pairs
 
 
-def is_linear_in_albedos(model: Lobe) -> bool:
-    """Whether every component is a colour times a scalar function."""
-    return all(component.albedo_spec() is not None for component in model.components())
+def is_separable(model: Lobe) -> bool:
+    """Whether every component is coefficients times terms."""
+    return all(component.is_separable() for component in model.components())
+
+
+@dataclass
+class _Part:
+    """A component that is present: its place in the model, its kind, and the full names of its parameters by its own.
+
+    free: the full names of parameters that are moved.
+    """
+
+    component: int
+    kind: type[Lobe]
+    names: dict[str, str]
+    free: set[str]
+
+    def __post_init__(self) -> None:
+        color = self.kind.albedo_spec()
+        self.color = None if color is None else self.names[color.name]
+        self.scalars = [self.names[spec.name] for spec in self.kind.term_scalars()]
+        self.moves_terms = any(name in self.free for name in self.scalars)
+        if self.color is not None:
+            self.terms, self.slopes = 1, [(name, 0) for name in self.scalars if name in self.free]
+            self.moves_coefficients = self.color in self.free
+        else:
+            own = pattern(self.kind)
+            known = zip(self.scalars, own.slopes, strict=True)
+            self.terms, self.slopes = own.terms, [(name, j) for name, js in known if name in self.free for j in js]
+            self.moves_coefficients = any(self.names[name] in self.free for name in own.parameters)
+
+    def coefficients(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
+        """A of this component, `(R, 3, J)`."""
+        if self.color is not None:
+            return values[self.color].to(dtype).expand(-1, 3)[..., None]
+        return self.kind.coefficients(**self._own(values, dtype)).expand(-1, 3, -1)
+
+    def coefficient_slopes(self, values: ParameterDict) -> dict[str, Tensor]:
+        """How they change with each parameter, by its full name, `(R, 3, J, size)`, float64."""
+        found = coefficient_slopes(self.kind, self._own(values, torch.float64))
+        return {self.names[name]: slope for name, slope in found.items()}
+
+    def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> tuple[list[Tensor], list[Tensor]]:
+        """The derivatives of terms that are in use, and the terms, `(R|1, N)` each."""
+        kind, scalars = self.kind, [values[name].to(dtype) for name in self.scalars]
+        if self.color is not None:
+            if scalars and not self.moves_terms:
+                return [], [kind.unit_response(pairs, *scalars)]
+            shape, *tangents = kind.value_and_jacobian(pairs, *scalars)
+            slopes = [slope for slope, name in zip(tangents, self.scalars, strict=True) if name in self.free]
+            return slopes, [shape]
+        if not self.moves_terms:
+            return [], kind.terms(pairs, *scalars)
+        terms, slopes_of = kind.terms_and_jacobian(pairs, *scalars)
+        by_name = dict(zip(self.scalars, slopes_of, strict=True))
+        found = [by_name[name][j] for name, j in self.slopes]
+        return [torch.zeros_like(terms[0]) if one is None else one for one in found], terms
+
+    def _own(self, values: ParameterDict, dtype: torch.dtype) -> ParameterDict:
+        specs = self.kind.parameter_specs
+        return {name: values[full].to(dtype).expand(-1, *specs[name].shape) for name, full in self.names.items()}
 
 
 class Basis:
     """The responses of the components that are present, and how they make up predictions and derivatives.
 
-    They come in the order: derivatives by scalars that are free, s of the components whose colour is free, s of the
-    others. The last two make up a prediction, the first two, `used`, derivatives.
+    They come in the order: derivatives of terms by scalars that are free, terms of the components whose coefficients
+    are free, terms of the others. The last two make up a prediction, the first two, `used`, derivatives.
     """
 
     def __init__(self, parametrization: Parametrization) -> None:
         model, self.free = parametrization.model, parametrization.free
-        free_names = {one.name for one in self.free}
+        free_names = {name for one in self.free for name in one.names}
         names = component_names(model)
-        lobes = []
+        parts = []
         for k in parametrization.components:
-            lobe = model.components()[k]
-            color = lobe.albedo_spec()
-            if color is None:
-                raise UsageError(f"{type(lobe).__name__}: is no colour times a scalar function")
-            lobes.append((k, lobe, names[k][color.name], [names[k][spec.name] for spec in lobe.scalars()]))
-        self.lobes = sorted(lobes, key=lambda lobe: lobe[2] not in free_names)
-        self.free_names = free_names
-        self.slopes = [name for _, _, _, scalars in self.lobes for name in scalars if name in free_names]
-        self.used = self.slopes + [color for _, _, color, _ in self.lobes if color in free_names]
+            kind = type(model.components()[k])
+            if not kind.is_separable():
+                raise UsageError(f"{kind.__name__}: is no coefficients times terms")
+            parts.append(_Part(k, kind, names[k], free_names & {*names[k].values()}))
+        self.parts = sorted(parts, key=lambda part: not part.moves_coefficients)
+        self.slopes = [slope for part in self.parts for slope in part.slopes]
+        self.terms = sum(part.terms for part in self.parts)
+        self.used = len(self.slopes) + sum(part.terms for part in self.parts if part.moves_coefficients)
 
     def albedos(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
-        """The colour of each component, `(R, 3, components)`."""
-        return torch.stack([values[color].to(dtype).expand(-1, 3) for _, _, color, _ in self.lobes], 2)
+        """The coefficients of each term, `(R, 3, terms)`."""
+        return torch.cat([part.coefficients(values, dtype) for part in self.parts], 2)
 
     def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> list[Tensor]:
         """All responses on some pairs, `(R|1, N)` each."""
-        shapes: list[Tensor] = []
-        slopes: list[Tensor] = []
-        for _, lobe, _, names in self.lobes:
-            scalars = [values[name].to(dtype) for name in names]
-            if not names or any(name in self.free_names for name in names):
-                shape, *tangents = type(lobe).value_and_jacobian(pairs, *scalars)
-                slopes += [slope for slope, name in zip(tangents, names, strict=True) if name in self.free_names]
-            else:
-                shape = type(lobe).unit_response(pairs, *scalars)
-            shapes.append(shape)
-        return slopes + shapes
+        found = [part.responses(pairs, values, dtype) for part in self.parts]
+        return [one for slopes, _ in found for one in slopes] + [one for _, terms in found for one in terms]
 
     def stacked(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype, problems: int) -> Tensor:
         """The same as one tensor, `(R, Q, N)`."""
@@ -72,24 +124,60 @@ class Basis:
 
     def jacobian(self, values: ParameterDict, albedos: Tensor) -> Tensor:
         """How the used responses make up the derivative of each channel by each of P free numbers, `(R, 3, Q, P)`."""
-        row = {name: i for i, name in enumerate(self.used)}
-        order = {k: i for i, (k, _, _, _) in enumerate(self.lobes)}
-        found = albedos.new_zeros(len(albedos), 3, len(row), sum(one.width for one in self.free))
-        p = 0
+        found = albedos.new_zeros(len(albedos), 3, self.used, sum(one.width for one in self.free))
+        for part, first in zip(self.parts, self._first_terms, strict=True):
+            add = self._add_albedo if part.color is not None else self._add_coefficients
+            add(found, part, first, values, albedos)
+        return found
+
+    @cached_property
+    def _first_terms(self) -> list[int]:
+        """Of each part which term is its first."""
+        counts = [part.terms for part in self.parts]
+        return [sum(counts[:k]) for k in range(len(counts))]
+
+    @cached_property
+    def _rows(self) -> dict[tuple[str, int], int]:
+        """Of each derivative, by the scalar's full name and the term of its component, which response it is."""
+        return {slope: row for row, slope in enumerate(self.slopes)}
+
+    @cached_property
+    def _columns(self) -> list[tuple[str, FreeParameter, slice]]:
+        """The full names that are moved, by what, and which numbers of the vector it is."""
+        found, p = [], 0
         for one in self.free:
-            if one.spec.linear:
-                for channel in range(3):
-                    found[:, channel, row[one.name], p + (channel if one.width == 3 else 0)] = 1
-            else:
-                rate = values[one.name].double() if one.spec.log else 1
-                found[:, :, row[one.name], p] = albedos[:, :, order[one.component]] * rate
+            found += [(name, one, slice(p, p + one.width)) for name in one.names]
             p += one.width
         return found
+
+    def _add_albedo(self, found: Tensor, part: _Part, first: int, values: ParameterDict, albedos: Tensor) -> None:
+        for name, one, columns in self._columns:
+            if name == part.color:
+                for channel in range(3):
+                    column = columns.start + (channel if one.width == 3 else 0)
+                    found[:, channel, len(self.slopes) + first, column] = 1
+            elif name in part.free:
+                rate = values[name].double() if one.spec.log else 1
+                found[:, :, self._rows[name, 0], columns.start] += albedos[:, :, first] * rate
+
+    def _add_coefficients(self, found: Tensor, part: _Part, first: int, values: ParameterDict, albedos: Tensor) -> None:
+        changes = part.coefficient_slopes(values) if part.moves_coefficients else {}
+        own = slice(len(self.slopes) + first, len(self.slopes) + first + part.terms)
+        for name, one, columns in self._columns:
+            if name not in part.free:
+                continue
+            rate = values[name].double() if one.spec.log else torch.ones_like(values[name], dtype=torch.float64)
+            for j in range(part.terms):
+                if (name, j) in self._rows:
+                    found[:, :, self._rows[name, j], columns.start] += albedos[:, :, first + j] * rate
+            if name in changes:
+                slope = changes[name] * rate.expand(-1, one.spec.size)[:, None, None]
+                found[:, :, own, columns] += slope if one.width == one.spec.size else slope.sum(-1, keepdim=True)
 
 
 def predictor(model: Lobe) -> Callable[[Pairs], Tensor]:
     """A function that gives a model's values on pairs, `(M, 3, N)`: channel by channel where that is faster."""
-    if not is_linear_in_albedos(model):
+    if not is_separable(model):
         return lambda pairs: model(pairs).mT
     basis, values = Basis(Parametrization(model, [])), get_parameters(model)
     dtype = next(iter(values.values())).dtype

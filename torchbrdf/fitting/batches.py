@@ -61,7 +61,7 @@ class Batches:
         self, model: Lobe, loss: Loss | Callable[..., Tensor], *, out: Path | None = None, **settings: Any
     ) -> None:
         self.model, self.loss, self.out = model, as_loss(loss), out
-        self.settings = settings | {"diffuse": diffuse_mode(settings.get("diffuse"), self.loss)}
+        self.settings = settings | {"diffuse": diffuse_mode(settings.get("diffuse"), self.loss, model)}
         self.stored = self._read()
 
     @property

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.initialization import starts_from_dictionary
+from torchbrdf.fitting.initialization import has_dictionary, starts_from_dictionary
 from torchbrdf.fitting.objective import GaussNewtonObjective
 from torchbrdf.fitting.parameters import Parametrization
+from torchbrdf.fitting.quasi_random import quasi_random_starts
 from torchbrdf.fitting.staged import minimizer_of, stages
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
@@ -32,6 +33,9 @@ class GlobalSearch:
             left to do.
         same: errors that differ by less belong to the same minimum.
         near_optimal: minima within so much of the best are worth another look.
+        quasi_random: starts all over the bounds of a model that the dictionary does not serve, as one of its lobes is
+            no albedo times a scalar function.
+        first_steps: after which the best of them are chosen.
 
     Example:
         >>> from torchbrdf.fitting import GlobalSearch
@@ -47,6 +51,8 @@ class GlobalSearch:
     share: int = 6
     same: float = 1e-4
     near_optimal: float = 0.01
+    quasi_random: int = 32
+    first_steps: int = 5
 
     def __call__(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
         """Fit."""
@@ -64,11 +70,7 @@ class GlobalSearch:
             )
 
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
-        found = starts_from_dictionary(
-            task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
-        )
-        tried = {name: torch.cat([found[name], staged[name]]) for name in staged}
-        candidates = _Candidates(objective.material_indices.repeat(self.starts + 1), tried, free, self.same)
+        candidates = self._starts(task, coarse, values, free, fit_diffuse).joined(objective.material_indices, staged)
         errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
         outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *candidates.best(errors))
         candidates.prune(errors, self.kept, 1.0)
@@ -83,6 +85,28 @@ class GlobalSearch:
         if isinstance(task.full, GaussNewtonObjective):
             self._on_all_samples(task, task.full, outcome, candidates, errors)
         return outcome
+
+    def _starts(
+        self,
+        task: Task,
+        coarse: GaussNewtonObjective,
+        values: ParameterDict,
+        free: Parametrization,
+        fit_diffuse: bool,
+    ) -> "_Candidates":
+        """From the dictionary; for a model with a lobe that has no albedo the best of many from all over the bounds."""
+        materials = coarse.material_indices
+        if has_dictionary(task.model):
+            found = starts_from_dictionary(
+                task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
+            )
+            return _Candidates(materials.repeat(self.starts), found, free, self.same)
+        found = quasi_random_starts(free, values, self.quasi_random)
+        candidates = _Candidates(materials.repeat(self.quasi_random), found, free, self.same)
+        widths = coarse.loss.smoothing_widths[:1]
+        errors = candidates.refine(coarse, max_iterations=self.first_steps, ftol=1e-4, widths=widths)
+        candidates.prune(errors, self.starts, torch.inf)
+        return candidates
 
     def _on_all_samples(
         self, task: Task, full: GaussNewtonObjective, outcome: Outcome, candidates: "_Candidates", errors: Solution
@@ -125,6 +149,11 @@ class _Candidates:
     values: ParameterDict
     free: Parametrization
     same: float
+
+    def joined(self, materials: Tensor, values: ParameterDict) -> "_Candidates":
+        """With more of them."""
+        both = {name: torch.cat([own, values[name]]) for name, own in self.values.items()}
+        return _Candidates(torch.cat([self.materials, materials]), both, self.free, self.same)
 
     def refine(
         self, objective: GaussNewtonObjective, *, max_iterations: int, ftol: float, widths: tuple[float | None, ...]

@@ -20,6 +20,12 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.solvers import solve_bounded_qp
 
 
+def has_dictionary(model: Lobe) -> bool:
+    """Whether all lobes beside the diffuse term are an albedo times a scalar function."""
+    lobes = model.components()
+    return all(lobes[k].albedo_spec() is not None for k in specular_components(model))
+
+
 def starts_from_dictionary(
     model: Lobe,
     objective: GaussNewtonObjective,
@@ -62,7 +68,7 @@ def starts_from_dictionary(
     weight = _weight(objective)
     gram = (weight[..., None, :] * columns) @ columns.mT
     right = -((weight * target)[..., None, :] @ columns.mT)[..., 0, :]
-    base = [_limits(components[diffuse[0]], 1)] if fit_diffuse else []
+    base = [_limits(components[diffuse[0]].parameter_specs["albedo"], 1)] if fit_diffuse else []
     unique = {id(one): one for one in dictionaries}.values()
     limits = torch.cat([*base, *(one.limits for one in unique)], 1).to(gram)
     picked, factor = _search(gram, right, limits, dictionaries, int(fit_diffuse), beam)
@@ -95,7 +101,9 @@ class LobeDictionary:
             scalars = [named[spec.name][:, None].to(pairs.dtype) for spec in lobe.scalars()]
             columns.append(type(lobe).value_and_jacobian(pairs, *scalars)[0].expand(len(self.grid), -1).double())
         self.atoms = torch.stack(columns, 1).flatten(0, 1)
-        self.limits = _limits(lobe, len(self.ends)).repeat(1, len(self.grid))
+        color = lobe.albedo_spec()
+        assert color is not None
+        self.limits = _limits(color, len(self.ends)).repeat(1, len(self.grid))
 
     def columns(self, picked: Tensor) -> Tensor:
         """The atoms of the shapes `picked`, `(...)` to `(..., E)`."""
@@ -103,13 +111,11 @@ class LobeDictionary:
         return self.first + picked[..., None] * len(self.ends) + ends
 
 
-def _limits(lobe: Lobe, ends: int) -> Tensor:
-    """The least and the largest factor of each of a lobe's atoms with one shape, `(2, ends)`.
+def _limits(color: BoundedParameter, ends: int) -> Tensor:
+    """The least and the largest factor of each of a lobe's atoms with one shape, by its colour, `(2, ends)`.
 
     Where several atoms make up the colour together, one alone may be 0 although the colour may not.
     """
-    color = lobe.albedo_spec()
-    assert color is not None
     lower = color.lower if ends == 1 else min(color.lower, 0.0)
     return torch.tensor([[lower], [color.upper]], dtype=torch.float64, device="cpu").expand(2, ends)
 

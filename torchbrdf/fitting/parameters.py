@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 from torchbrdf.lobes import BoundedParameter, Lobe, Sum
-from torchbrdf.lobes.parameter_dict import ParameterDict, component_names
+from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, shared_specs
 from torchbrdf.pairs import Pairs
 
 
@@ -27,17 +27,25 @@ def specular_components(model: Lobe) -> list[int]:
 class FreeParameter:
     """A parameter that a solver moves: its full name, its component, what it declares, and how many numbers it moves.
 
-    A width of 1 moves a colour as one number.
+    A width of 1 moves a colour as one number. also: the full names of the others that always have the same value.
     """
 
     name: str
     component: int
     spec: BoundedParameter
     width: int
+    also: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The full names of all that it moves."""
+        return (self.name, *self.also)
 
     def encode(self, values: ParameterDict) -> Tensor:
-        """Its values as the solver sees them, `(M, width)`, float64."""
+        """Its values as the solver sees them, `(M, width)`, float64; the mean of those that are to be one."""
         value = values[self.name].to(torch.float64).flatten(1)
+        if self.also:
+            value = torch.stack([values[name].to(torch.float64).flatten(1) for name in self.names]).mean(0)
         if self.width == 1 and value.shape[1] > 1:
             value = value.mean(1, keepdim=True)
         return self._scaled(value.expand(-1, self.width).clamp(self.spec.lower, self.spec.upper))
@@ -58,13 +66,24 @@ class FreeParameter:
 
 
 def free_parameters(model: Lobe, components: Sequence[int], *, scalar_albedo: bool = False) -> list[FreeParameter]:
-    """All parameters of some components; scalar_albedo: with one number in the place of each colour's three."""
-    names, lobes = component_names(model), model.components()
-    return [
-        FreeParameter(full, k, spec, 1 if scalar_albedo and spec.linear and spec.shape == (3,) else spec.size)
-        for k in components
-        for (_, full), spec in zip(names[k].items(), lobes[k].parameter_specs.values(), strict=True)
-    ]
+    """All parameters of some components, shared ones once; scalar_albedo: with one number for each colour's three."""
+    lobes, names, shared, seen = model.components(), component_names(model), shared_specs(model), set[str]()
+    found = []
+    for k in components:
+        colours = {spec.name for spec in colour_specs(type(lobes[k]))} if scalar_albedo else set()
+        for name, full in names[k].items():
+            spec, same = shared.get(full, (lobes[k].parameter_specs[name], (full,)))
+            if full not in seen:
+                also = tuple(other for other in same if other != full)
+                found.append(FreeParameter(full, k, spec, 1 if name in colours else spec.size, also))
+                seen |= {full, *also}
+    return found
+
+
+def colour_specs(kind: type[Lobe]) -> list[BoundedParameter]:
+    """A lobe's colours: its albedos; of a lobe of several coloured terms, all parameters with a number a channel."""
+    colours = [spec for spec in kind.parameter_specs.values() if spec.shape == (3,)]
+    return [spec for spec in colours if spec.linear or kind.has_terms()]
 
 
 class Parametrization:
@@ -87,7 +106,8 @@ class Parametrization:
     def decode(self, x: Tensor, dtype: torch.dtype) -> ParameterDict:
         """The free parameters of vectors `(M, P)`."""
         parts = x.split([one.width for one in self.free], 1)
-        return {one.name: one.decode(part, dtype) for one, part in zip(self.free, parts, strict=True)}
+        found = zip(self.free, parts, strict=True)
+        return {name: value for one, part in found for value in [one.decode(part, dtype)] for name in one.names}
 
     def limits(self) -> tuple[Tensor, Tensor]:
         """Lower and upper bounds of the vector, `(P,)` each."""

@@ -112,7 +112,7 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
         if is_diffuse and not diffuse:
             continue
         for name, spec in component.parameter_specs.items():
-            label = f"{name}[{count}]"
+            label = name if component.is_material else f"{name}[{count}]"
             if is_diffuse:
                 label = "diffuse" if spec.shape == (3,) else f"diffuse_{name}"
             close = 1e-6 * max(abs(spec.lower), abs(spec.upper))

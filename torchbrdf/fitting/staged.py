@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 from torchbrdf.fitting.objective import GaussNewtonObjective
-from torchbrdf.fitting.parameters import FreeParameter, Parametrization, free_parameters
+from torchbrdf.fitting.parameters import FreeParameter, Parametrization, colour_specs, free_parameters
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
 from torchbrdf.lobes.parameter_dict import ParameterDict
@@ -50,9 +50,8 @@ def stages(
 ) -> Iterator[tuple[str, ParameterDict, Solution]]:
     """The stages one after the other: name, values so far, and what the minimizer says."""
     diffuse = _diffuse(task, fit_diffuse)
-    shaped: list[FreeParameter] = []
-    for count, k in enumerate(task.specular, start=1):
-        shaped += free_parameters(task.model, [k], scalar_albedo=True)
+    for count in range(1, len(task.specular) + 1):
+        shaped = free_parameters(task.model, task.specular[:count], scalar_albedo=True)
         components = task.diffuse + task.specular[:count]
         values, found = minimize(values, task.parametrization(diffuse + shaped, components))
         yield f"{count} lobe{'s' if count > 1 else ''}, scalar albedo", values, found
@@ -65,4 +64,7 @@ def _diffuse(task: Task, fit_diffuse: bool) -> list[FreeParameter]:
 
 
 def _albedos(task: Task) -> list[FreeParameter]:
-    return [one for one in free_parameters(task.model, task.specular) if one.spec.linear]
+    """The colours of the lobes; of lobes without any, all parameters."""
+    free, components = free_parameters(task.model, task.specular), task.model.components()
+    colours = [one for one in free if one.spec.linear or one.spec in colour_specs(type(components[one.component]))]
+    return colours or free

@@ -1,18 +1,9 @@
-"""Sums of coloured terms: value_c = sum_j coefficient_cj term_j, with coefficients that no pair changes."""
+"""The terms and colours that materials share."""
 
-from collections.abc import Sequence
-
-import torch
 from torch import Tensor
 
 from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.pairs import Pairs
-
-
-def combine(pairs: Pairs, coefficients: Sequence[Tensor], terms: Sequence[Tensor]) -> Tensor:
-    """The sum of terms `(..., N)` times their coefficients `(..., 3)` or `(..., 1)`, zero below the horizon."""
-    total = sum(term[..., None] * colour[..., None, :] for colour, term in zip(coefficients, terms, strict=True))
-    return torch.where(pairs.above_horizon[..., None], total, 0).expand(*total.shape[:-1], 3)
 
 
 def f82_weight(pairs: Pairs) -> Tensor:

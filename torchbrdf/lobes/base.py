@@ -2,25 +2,21 @@
 
 import copy
 import inspect
-import threading
 from collections.abc import Callable
 from dataclasses import InitVar
 from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import torch
 from torch import Tensor, nn
-from torch.autograd import forward_ad
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes.evaluation import check_leading, check_signature, check_values, half_in_float32
 from torchbrdf.lobes.parameter import BoundedParameter, Value
+from torchbrdf.lobes.separable import Slopes, tangents, value_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes", "torchbrdf.lobes", lambda: Lobe)
-
-# torch's forward differentiation has one level for all threads.
-_FORWARD = threading.Lock()
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -71,6 +67,10 @@ class Lobe(_Declared):
     """The declared parameters by name, those of base classes first."""
     is_diffuse: ClassVar[bool] = False
     """Whether it is a diffuse term, of which a model has at most one."""
+    is_material: ClassVar[bool] = False
+    """Whether it is a whole BRDF by itself, such as a renderer's material: a model of its own, with no other lobe."""
+    scalars_of_terms: ClassVar[tuple[str, ...] | None] = None
+    """The parameters that `terms` takes, in that order; None: all of one number."""
     function: ClassVar[Callable[..., Tensor]]
     """The functional form: `function(pairs, *parameters)`, `(..., N, 3)`."""
     __signature__: ClassVar[inspect.Signature]
@@ -81,6 +81,8 @@ class Lobe(_Declared):
         super().__init_subclass__(**kwargs)
         own = {name: value for name, value in vars(cls).items() if isinstance(value, BoundedParameter)}
         cls.parameter_specs = {**cls.parameter_specs, **own}
+        if cls.has_terms() and not hasattr(cls, "function"):
+            cls.function = staticmethod(value_of(cls))
         cls.__signature__ = _signature(cls)
 
     def __init__(self, *, dtype: torch.dtype | None = None, **values: Value) -> None:
@@ -141,13 +143,16 @@ class Lobe(_Declared):
         """The declaration of the albedo of a lobe that is one albedo times a scalar function of pairs and scalars.
 
         Returns:
-            The only linear parameter of the shape `(3,)` where all others are scalars; None of any other lobe.
+            The only linear parameter of the shape `(3,)` where all others are scalars; None of any other lobe, and of
+            one that declares `terms`.
 
         Example:
             >>> from torchbrdf.lobes import LowABC, ShiftedGamma
             >>> LowABC.albedo_spec().name, ShiftedGamma.albedo_spec()
             ('amplitude', None)
         """
+        if cls.has_terms():
+            return None
         albedos = [spec for spec in cls.parameter_specs.values() if spec.linear and spec.shape == (3,)]
         rest = [spec for spec in cls.parameter_specs.values() if spec not in albedos]
         return albedos[0] if len(albedos) == 1 and all(spec.size == 1 for spec in rest) else None
@@ -214,15 +219,107 @@ class Lobe(_Declared):
             >>> [column.shape for column in columns]
             [torch.Size([2, 5]), torch.Size([2, 5])]
         """
-        found: list[Tensor] = []
-        for k, scalar in enumerate(scalars):
-            with _FORWARD, forward_ad.dual_level():
-                dual = forward_ad.make_dual(scalar, torch.ones_like(scalar))
-                own = [dual if i == k else other for i, other in enumerate(scalars)]
-                value, tangent = forward_ad.unpack_dual(cls.unit_response(pairs, *own))
-            found = found or [value]
-            found.append(torch.zeros_like(value) if tangent is None else tangent)
-        return found or [cls.unit_response(pairs)]
+        (value,), slopes = tangents(lambda *own: [cls.unit_response(pairs, *own)], scalars)
+        return [value, *(torch.zeros_like(value) if slope is None else slope for (slope,) in slopes)]
+
+    @classmethod
+    def has_terms(cls) -> bool:
+        """Whether the lobe declares `terms` and `coefficients` of its own."""
+        return cls.terms.__func__ is not Lobe.terms.__func__  # type: ignore[attr-defined]
+
+    @classmethod
+    def is_separable(cls) -> bool:
+        """Whether its values are coefficients times terms, so that fits need no graph.
+
+        Example:
+            >>> from torchbrdf.lobes import EON, ShiftedGamma, Ward
+            >>> Ward.is_separable(), EON.is_separable(), ShiftedGamma.is_separable()
+            (True, True, False)
+        """
+        return cls.has_terms() or cls.albedo_spec() is not None
+
+    @classmethod
+    def term_scalars(cls) -> list["BoundedParameter"]:
+        """The declarations of the parameters that `terms` takes."""
+        if not cls.has_terms():
+            return cls.scalars()
+        if cls.scalars_of_terms is None:
+            return [spec for spec in cls.parameter_specs.values() if spec.size == 1]
+        return [cls.parameter_specs[name] for name in cls.scalars_of_terms]
+
+    @classmethod
+    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """The scalar functions s_j of a lobe whose values are sum_j A_cj s_j, for channel c.
+
+        A lobe that is no albedo times one function declares `terms` and `coefficients`; its `function` follows.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`.
+            scalars: the parameters `(..., 1)` of `term_scalars()`.
+
+        Returns:
+            J tensors in 1/sr, `(..., N)` or what broadcasts to it; below the horizon they mean nothing.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import EON
+            >>> angle = torch.full((2, 5), 0.1)
+            >>> [term.shape for term in EON.terms(Pairs.from_half_diff(angle, angle, angle), torch.tensor([0.2]))]
+            [torch.Size([2, 5]), torch.Size([2, 5])]
+        """
+        return [cls.unit_response(pairs, *scalars)]
+
+    @classmethod
+    def terms_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> tuple[list[Tensor], Slopes]:
+        """The terms, and their derivatives by each of the scalars.
+
+        By forward differentiation, unless a lobe knows a shorter way.
+
+        Args:
+            pairs: where values are wanted, `(..., N)`; below the horizon the result means nothing.
+            scalars: the parameters `(..., 1)` of `term_scalars()`.
+
+        Returns:
+            `terms`; and a list for each scalar with one derivative a term, None where the term never depends on it.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import EON
+            >>> angle = torch.full((2, 5), 0.1)
+            >>> terms, slopes = EON.terms_and_jacobian(Pairs.from_half_diff(angle, angle, angle), torch.tensor([0.2]))
+            >>> len(terms), [len(own) for own in slopes]
+            (2, [2])
+        """
+        if not cls.has_terms():
+            value, *slopes = cls.value_and_jacobian(pairs, *scalars)
+            return [value], [[slope] for slope in slopes]
+        return tangents(lambda *own: cls.terms(pairs, *own), scalars)
+
+    @classmethod
+    def coefficients(cls, **parameters: Tensor) -> Tensor:
+        """The factors A_cj of the terms, by operations that torch differentiates.
+
+        Args:
+            parameters: all of the lobe's by name, `(..., k)`; leading dimensions broadcast.
+
+        Returns:
+            `(..., 3, J)`.
+
+        Raises:
+            UsageError: the lobe is no coefficients times terms.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf.lobes import EON
+            >>> EON.coefficients(albedo=torch.rand(4, 3), roughness=torch.rand(4, 1)).shape
+            torch.Size([4, 3, 2])
+        """
+        colour = cls.albedo_spec()
+        if colour is None:
+            raise UsageError(f"{cls.__name__}: expected coefficients times terms, found a lobe that declares none")
+        return parameters[colour.name][..., None]
 
     def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""

@@ -1,7 +1,8 @@
 """The energy-preserving Oren-Nayar model."""
 
 import math
-from typing import ClassVar
+from functools import partial
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,6 +12,7 @@ from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.oren_nayar import grooves
 from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.separable import Slopes, columns
 from torchbrdf.pairs import Pairs
 
 # A = 1 / (1 + FACTOR r); the mean albedo of the first term is A (1 + MEAN r).
@@ -45,18 +47,36 @@ def eon(pairs: Pairs, albedo: Tensor, roughness: Tensor) -> Tensor:
         >>> eon(Pairs.from_half_diff(angle, angle, angle), colour, torch.tensor([0.5]))
         tensor([[0.0283, 0.0576, 0.0879]])
     """
+    terms = EON.terms(pairs, roughness)
+    coefficients = EON.coefficients(albedo=albedo, roughness=roughness)[..., None, :, :]
+    value = coefficients[..., 0] * terms[0][..., None] + coefficients[..., 1] * terms[1][..., None]
+    return torch.where(pairs.above_horizon[..., None], value, 0)
+
+
+class _Groove(NamedTuple):
+    """What the terms and their derivatives are made of, `(..., N)` where it is of pairs."""
+
+    above: Tensor
+    slant: Tensor
+    height: Tensor
+    gains: list[Tensor]
+    lost: list[Tensor]
+    scale: Tensor
+
+
+def _groove(pairs: Pairs, roughness: Tensor) -> _Groove:
     # Of s below 0 by way of 1 + s, all of whose digits count where it is near 0 and r near 1.
-    above = 2 * pairs.cos_d.square() - pairs.cos_i * pairs.cos_o
+    above = pairs.cached(_groove, lambda: 2 * pairs.cos_d.square() - pairs.cos_i * pairs.cos_o)
     slant = torch.where(above > 1, 1 + roughness * grooves(pairs), 1 - roughness + roughness * above)
     height = 1 / (1 + _FACTOR * roughness)
-    mean = height * (1 + _MEAN * roughness)
-    lost = [1 - height * (1 + roughness / math.pi * _gain(cosine)) for cosine in (pairs.cos_i, pairs.cos_o)]
+    gains = [
+        pairs.cached(_gain, partial(_gain, cosine), name)
+        for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o))
+    ]
+    lost = [(1 - height * (1 + roughness / math.pi * gain)).clamp_min(0) for gain in gains]
     # Where r is 0 nothing is lost: 0 / 0.
-    again = lost[0].clamp_min(0) * lost[1].clamp_min(0) / (1 - mean).clamp_min(1e-7)
-    mean = mean[..., None, :]
-    multiple = albedo.square()[..., None, :] * mean / (1 - albedo[..., None, :] * (1 - mean))
-    value = albedo[..., None, :] * (height * slant)[..., None] + multiple * again[..., None]
-    return torch.where(pairs.above_horizon[..., None], value / math.pi, 0)
+    scale = math.pi * (1 - height * (1 + _MEAN * roughness)).clamp_min(1e-7)
+    return _Groove(above, slant, height, gains, lost, scale)
 
 
 def _gain(cosine: Tensor) -> Tensor:
@@ -92,3 +112,35 @@ class EON(Lobe):
     )
     roughness: BoundedParameter = BoundedParameter(start=0.3, lower=0.0, upper=1.0, doc="roughness, 0 to 1")
     function = staticmethod(eon)
+
+    @classmethod
+    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """Light that is scattered once, and more than once."""
+        own = _groove(pairs, *scalars)
+        return [own.height / math.pi * own.slant, own.lost[0] * own.lost[1] / own.scale]
+
+    @classmethod
+    def terms_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> tuple[list[Tensor], Slopes]:
+        """A' = -(1/2 - 2 / (3 pi)) A^2, and what follows."""
+        (roughness,) = scalars
+        own = _groove(pairs, roughness)
+        first, second = cls.terms(pairs, roughness)
+        falling = -_FACTOR * own.height.square()
+        steep = torch.where(own.above > 1, grooves(pairs), own.above - 1)
+        once = (falling * own.slant + own.height * steep) / math.pi
+        # d lost = -(A (1 + r G / pi))' = -A' - (r A)' G / pi, with (r A)' = A^2; of the mean alike.
+        square = own.height.square()
+        slopes = [
+            torch.where(lost > 0, -falling - square / math.pi * gain, 0)
+            for lost, gain in zip(own.lost, own.gains, strict=True)
+        ]
+        rate = math.pi * (-falling - square * _MEAN)
+        again = (slopes[0] * own.lost[1] + slopes[1] * own.lost[0]) / own.scale - second * (rate / own.scale)
+        return [first, second], [[once, again]]
+
+    @classmethod
+    def coefficients(cls, **parameters: Tensor) -> Tensor:
+        """rho and rho_m."""
+        albedo, roughness = parameters["albedo"], parameters["roughness"]
+        mean = (1 + _MEAN * roughness) / (1 + _FACTOR * roughness)
+        return columns(albedo, albedo.square() * mean / (1 - albedo * (1 - mean)))

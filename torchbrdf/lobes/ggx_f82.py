@@ -1,15 +1,18 @@
 """A rough conductor: GGX with a coloured Fresnel that has a tint near grazing angles."""
 
+from typing import ClassVar
+
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes._smith import ggx_visibility
-from torchbrdf.lobes._terms import combine, f82_colours, f82_weight
+from torchbrdf.lobes._smith import ggx_visibility, ggx_visibility_and_log_derivative
+from torchbrdf.lobes._terms import f82_colours, f82_weight
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.separable import Slopes, columns, value_of
 from torchbrdf.pairs import Pairs
 
 
@@ -42,13 +45,7 @@ def ggx_f82(pairs: Pairs, f0: Tensor, f82: Tensor, roughness: Tensor, weight: Te
         >>> ggx_f82(pairs, gold, torch.ones(3), torch.tensor([0.1]), torch.tensor([1.0]))
         tensor([[0.3586, 0.2546, 0.1040]])
     """
-    colours = f82_colours(f0, f82)
-    return combine(pairs, [weight * colour for colour in colours], _terms(pairs, roughness))
-
-
-def _terms(pairs: Pairs, roughness: Tensor) -> list[Tensor]:
-    facets = ggx_distribution(roughness, tangent(pairs)) * ggx_visibility(pairs, roughness)
-    return [facets, facets * schlick_weight(pairs), facets * f82_weight(pairs)]
+    return value_of(GGXF82)(pairs, f0, f82, roughness, weight)
 
 
 @LOBES.register("ggx_f82")
@@ -77,3 +74,29 @@ class GGXF82(Lobe):
     )
     weight: BoundedParameter = BoundedParameter(start=1.0, lower=0.0, upper=1.0, doc="share of the lobe", linear=True)
     function = staticmethod(ggx_f82)
+    scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness",)
+
+    @classmethod
+    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """D G / (4 cos_i cos_o) times 1, `schlick_weight` and `f82_weight`."""
+        (roughness,) = scalars
+        return _terms(pairs, ggx_distribution(roughness, tangent(pairs)) * ggx_visibility(pairs, roughness))
+
+    @classmethod
+    def terms_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> tuple[list[Tensor], Slopes]:
+        """d/da = term (2 / a - 4 a / (a^2 + tan2_h) + d log G / da)."""
+        (roughness,) = scalars
+        visibility, slope = ggx_visibility_and_log_derivative(pairs, roughness)
+        facets = ggx_distribution(roughness, tangent(pairs)) * visibility
+        slope = slope + 2 / roughness - 4 * roughness / (roughness.square() + tangent(pairs))
+        return _terms(pairs, facets), [list[Tensor | None](_terms(pairs, facets * slope))]
+
+    @classmethod
+    def coefficients(cls, **parameters: Tensor) -> Tensor:
+        """Those of F."""
+        colours = f82_colours(parameters["f0"], parameters["f82"])
+        return columns(*(parameters["weight"] * colour for colour in colours))
+
+
+def _terms(pairs: Pairs, facets: Tensor) -> list[Tensor]:
+    return [facets, facets * schlick_weight(pairs), facets * f82_weight(pairs)]

@@ -1,6 +1,6 @@
 """Models by name, and as plain numbers: what `fits.json` and the command line speak."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -10,10 +10,11 @@ from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.parameter import BoundedParameter
-from torchbrdf.lobes.sum import Sum
+from torchbrdf.lobes.sum import Sum, check_shared
 
 DIFFUSE_KEY = "diffuse"
 JOIN = "+"
+SHARE = ":"
 # The bounds of all parameters are far below.
 LARGEST_PARAMETER = 1e10
 
@@ -23,7 +24,8 @@ def component_kinds(name: str, lobes: int | None = None) -> list[type[Lobe]]:
 
     Args:
         name: a registered specular lobe, of which there are `lobes` beside Lambert; or all components, joined by +, of
-            which one may be a diffuse term in Lambert's place.
+            which one may be a diffuse term in Lambert's place; or a whole material, which stands alone. Behind a colon
+            the parameters that lobes share, see `make_model`.
         lobes: how many specular lobes; None: two of one kind, or those that are named.
 
     Returns:
@@ -31,7 +33,7 @@ def component_kinds(name: str, lobes: int | None = None) -> list[type[Lobe]]:
 
     Raises:
         UsageError: a name is unknown, there is no specular lobe or more than one diffuse term, or there are not so many
-            lobes.
+            lobes; a whole material is not alone; lobes do not share what they are said to.
 
     Example:
         >>> [kind.__name__ for kind in component_kinds("ggx")]
@@ -39,7 +41,27 @@ def component_kinds(name: str, lobes: int | None = None) -> list[type[Lobe]]:
         >>> [kind.__name__ for kind in component_kinds("oren_nayar+ggx+ward")]
         ['OrenNayar', 'GGX', 'Ward']
     """
-    kinds = [LOBES[part] for part in name.split(JOIN)]
+    joined, shared = split_shared(name)
+    kinds = [LOBES[part] for part in joined.split(JOIN)]
+    if any(kind.is_material for kind in kinds):
+        found = _material(kinds, joined, lobes)
+    else:
+        found = _diffuse_and_lobes(kinds, joined, lobes)
+    check_shared(found, shared)
+    return found
+
+
+def _material(kinds: list[type[Lobe]], name: str, lobes: int | None) -> list[type[Lobe]]:
+    """A whole material, which is a model by itself."""
+    if len(kinds) > 1:
+        whole = next(LOBES.name_of(kind) for kind in kinds if kind.is_material)
+        raise UsageError(f"model: expected {whole}, a whole material, alone, found {name}")
+    if lobes not in (None, 1):
+        raise UsageError(f"lobes: expected 1, as {name} is a whole material, found {shown(lobes)}")
+    return kinds
+
+
+def _diffuse_and_lobes(kinds: list[type[Lobe]], name: str, lobes: int | None) -> list[type[Lobe]]:
     diffuse = [kind for kind in kinds if kind.is_diffuse] or [Lambert]
     specular = [kind for kind in kinds if not kind.is_diffuse]
     if not specular:
@@ -54,12 +76,30 @@ def component_kinds(name: str, lobes: int | None = None) -> list[type[Lobe]]:
     return [*diffuse, *specular]
 
 
+def split_shared(name: str) -> tuple[str, tuple[str, ...]]:
+    """A model's name without the parameters that its lobes share, and these.
+
+    Raises:
+        UsageError: there is nothing behind the colon, or a part of it is empty.
+
+    Example:
+        >>> split_shared("oren_nayar+ggx+ggx:f0"), split_shared("ward")
+        (('oren_nayar+ggx+ggx', ('f0',)), ('ward', ()))
+    """
+    joined, colon, rest = name.partition(SHARE)
+    shared = tuple(part.strip() for part in rest.split(",")) if colon else ()
+    if not all(shared):
+        raise UsageError(f"model: expected names of parameters behind the colon, as ggx:f0 has, found {shown(name)}")
+    return joined, shared
+
+
 def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = None) -> Sum:
     """Make a model to fit: a diffuse term plus lobes, each parameter at its start (the paper's eq. 11).
 
     Args:
         name: a registered lobe, our own or another package's, beside Lambert: "ggx"; or all components: "ggx+ward",
-            "oren_nayar+ggx+ggx".
+            "oren_nayar+ggx+ggx"; or a whole material, which has no other lobe beside it. Parameters that are one for
+            all specular lobes that have them follow a colon: "ggx:f0", "ggx+beckmann:f0,specular".
         lobes: how many specular lobes; None: two of one kind, or those that are named.
         dtype: of the parameters; torch's default if not given.
 
@@ -73,15 +113,18 @@ def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = 
         >>> from torchbrdf.lobes import make_model
         >>> make_model("ward", lobes=1).components()
         [Lambert(albedo=[0.5, 0.5, 0.5]), Ward(specular=[0.5, 0.5, 0.5], roughness=0.01)]
+        >>> make_model("ggx:f0").shared
+        ('f0',)
     """
-    return Sum(*(kind(dtype=dtype) for kind in component_kinds(name, lobes)))
+    kinds = component_kinds(name, lobes)
+    return Sum(*(kind(dtype=dtype) for kind in kinds), shared=split_shared(name)[1])
 
 
 def model_name(model: Lobe) -> tuple[str, int]:
     """The name of a model and how many specular lobes it has: what `make_model` made it from.
 
     Args:
-        model: a diffuse term plus registered lobes.
+        model: a diffuse term plus registered lobes, or a whole material.
 
     Returns:
         The name and the count.
@@ -96,28 +139,34 @@ def model_name(model: Lobe) -> tuple[str, int]:
     """
     kinds = [type(component) for component in model.components()]
     first, *rest = kinds
-    if not first.is_diffuse or not rest or any(kind.is_diffuse for kind in rest):
+    alone = first.is_material and not rest
+    if not alone and (not first.is_diffuse or not rest or any(kind.is_diffuse or kind.is_material for kind in rest)):
         found = " + ".join(kind.__name__ for kind in kinds)
-        raise UsageError(f"model: expected a diffuse term plus lobes, found {found}")
+        raise UsageError(f"model: expected a diffuse term plus lobes, or a whole material, found {found}")
     names = [LOBES.name_of(kind) for kind in kinds]
     for kind, name in zip(kinds, names, strict=True):
         if name is None:
             raise UsageError(f"model: expected lobes of a registered kind, found {kind.__name__}")
+    if alone:
+        return str(names[0]), 1
     named = names[1:] if first is Lambert else names
     same = first is Lambert and len({*rest}) == 1
-    return (str(names[1]) if same else JOIN.join(map(str, named))), len(rest)
+    shared = getattr(model, "shared", ())
+    behind = SHARE + ",".join(shared) if shared else ""
+    return (str(names[1]) if same else JOIN.join(map(str, named))) + behind, len(rest)
 
 
 def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
     """One material's parameters as plain lists, as a `fits.json` has them.
 
     Args:
-        model: a diffuse term plus lobes, batched or not.
+        model: a diffuse term plus lobes, or a whole material, batched or not.
         material: which of a batch.
 
     Returns:
-        `diffuse`, the albedo of the diffuse term, and what else that has, as `diffuse_roughness`; for every other name
-        a list with one value a lobe, None for a lobe of a kind that has no such parameter.
+        Each parameter of a whole material by its name; of lobes `diffuse`, the albedo of the diffuse term, what else
+        that has, as `diffuse_roughness`; for every other name a list with one value a lobe, None for a lobe of a kind
+        that has no such parameter.
 
     Example:
         >>> from torchbrdf.lobes import Lambert, Sum, Ward, parameters
@@ -125,6 +174,8 @@ def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
         {'diffuse': [0.25, 0.25, 0.25], 'specular': [[0.5, 0.5, 0.5]], 'roughness': [0.125]}
     """
     first, *rest = model.components()
+    if first.is_material:
+        return {name: _plain(first, spec, material) for name, spec in first.parameter_specs.items()}
     found: dict[str, Any] = {
         key: _plain(first, first.parameter_specs[name], material) for key, name in _diffuse_keys(type(first)).items()
     }
@@ -141,14 +192,16 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
 
     Args:
         name: of the model, as `model_name` gives it.
-        values: `diffuse` and, for each parameter of its lobes, a list with one value a lobe.
+        values: `diffuse` and, for each parameter of its lobes, a list with one value a lobe; of a whole material its
+            parameters.
         dtype: of the parameters; torch's default if not given.
 
     Returns:
         The sum, not batched.
 
     Raises:
-        DataError: the names, counts or shapes are not those of the model, or values are no finite numbers.
+        DataError: the names, counts or shapes are not those of the model, values are no finite numbers, or lobes that
+            share a parameter have different ones.
 
     Example:
         >>> from torchbrdf.lobes import from_parameters
@@ -156,19 +209,24 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         >>> from_parameters("ward", values).components()[1]
         Ward(specular=[0.5, 0.5, 0.5], roughness=0.125)
     """
-    diffuse, *kinds = component_kinds(name, None if JOIN in name else 1)
+    joined, shared = split_shared(name)
     where = f"parameters of {name}"
+    diffuse, *kinds = component_kinds(joined, None if JOIN in joined else 1)
+    dtype = dtype or torch.get_default_dtype()
+    if diffuse.is_material:
+        _check_names(values, diffuse.parameter_specs, where)
+        return Sum(diffuse(dtype=dtype, **_own_values(diffuse, values, where)))
     keys, names = _diffuse_keys(diffuse), _names(kinds)
-    wanted = {*keys, *names}
-    if set(values) != wanted:
-        raise DataError(f"{where}: expected {', '.join(sorted(wanted))}, found {', '.join(map(str, values)) or 'none'}")
+    _check_names(values, [*keys, *names], where)
     lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names}
     counts = {len(entries) for entries in lists.values()}
-    kinds = kinds if JOIN in name else kinds * max(counts, default=0)
+    kinds = kinds if JOIN in joined else kinds * max(counts, default=0)
     if counts != {len(kinds)} or not kinds:
-        expected = f"{len(kinds)} values" if JOIN in name else "one value a lobe for each"
+        expected = f"{len(kinds)} values" if JOIN in joined else "one value a lobe for each"
         raise DataError(f"{where}: expected {expected}, found {sorted(counts)} values")
-    dtype = dtype or torch.get_default_dtype()
+    for key in shared:
+        if len({repr(value) for value in lists.get(key, ()) if value is not None}) > 1:
+            raise DataError(f"{where}: {key}: expected one value for all lobes, found {shown(lists[key])}")
     base = {name: _numbers(values[key], diffuse.parameter_specs[name], f"{where}: {key}") for key, name in keys.items()}
     return Sum(
         diffuse(dtype=dtype, **base),
@@ -176,7 +234,13 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
             kind(dtype=dtype, **_own_values(kind, {key: entries[k] for key, entries in lists.items()}, where))
             for k, kind in enumerate(kinds)
         ),
+        shared=shared,
     )
+
+
+def _check_names(values: Mapping[str, Any], wanted: Iterable[str], where: str) -> None:
+    if set(values) != {*wanted}:
+        raise DataError(f"{where}: expected {', '.join(sorted(wanted))}, found {', '.join(map(str, values)) or 'none'}")
 
 
 def _diffuse_keys(kind: type[Lobe]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """The parameters of a model as a dictionary, by the names that the model's modules give them."""
 
 import copy
+from dataclasses import replace
 from typing import TypeVar
 
 from torch import Tensor
@@ -33,6 +34,24 @@ def named_specs(model: Lobe) -> dict[str, BoundedParameter]:
         for component, own in zip(model.components(), names, strict=True)
         for name, full in own.items()
     }
+
+
+def shared_specs(model: Lobe) -> dict[str, tuple[BoundedParameter, tuple[str, ...]]]:
+    """Of each shared parameter, by full name: what all that share it allow, and their full names.
+
+    Its bounds are those that all have.
+    """
+    found: dict[str, tuple[BoundedParameter, tuple[str, ...]]] = {}
+    names = component_names(model)
+    for name in getattr(model, "shared", ()):
+        own = [k for k, lobe in enumerate(model.components()) if not lobe.is_diffuse and name in names[k]]
+        specs, same = [model.components()[k].parameter_specs[name] for k in own], tuple(names[k][name] for k in own)
+        lower, upper = max(spec.lower for spec in specs), min(spec.upper for spec in specs)
+        start = min(max(specs[0].start, lower), upper)
+        spec = replace(specs[0], lower=lower, upper=upper, start=start)
+        spec.name = name
+        found |= dict.fromkeys(same, (spec, same))
+    return found
 
 
 def get_parameters(model: Lobe) -> ParameterDict:

@@ -1,19 +1,20 @@
 """Disney's principled material as Mitsuba 3 has it, without transmission and anisotropy."""
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
 from torchbrdf.lobes._smith import ggx_separable_visibility_and_log_derivative
-from torchbrdf.lobes._terms import combine
 from torchbrdf.lobes.abc_distribution import dielectric
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_ratio
 
@@ -75,50 +76,15 @@ def principled(
         >>> principled(pairs, colour, *[half] * 9)
         tensor([[0.0550, 0.0983, 0.1415]])
     """
-    terms = _terms(pairs, roughness, specular, clearcoat_gloss, flatness)
-    colours = _coefficients(base_color, metallic, specular, spec_tint, sheen, sheen_tint, clearcoat)
-    return combine(pairs, colours, terms)
+    values = (metallic, roughness, specular, spec_tint, sheen, sheen_tint, clearcoat, clearcoat_gloss, flatness)
+    return value_of(Principled)(pairs, base_color, *values)
 
 
-def _coefficients(
-    base_color: Tensor,
-    metallic: Tensor,
-    specular: Tensor,
-    spec_tint: Tensor,
-    sheen: Tensor,
-    sheen_tint: Tensor,
-    clearcoat: Tensor,
-) -> list[Tensor]:
-    """Of diffuse reflection, sheen, Fresnel's specular reflection, Schlick's two terms, clear coat."""
-    luminance = (base_color * base_color.new_tensor(_LUMINANCE)).sum(-1, keepdim=True)
+def _tint(base: Tensor) -> Tensor:
+    """A colour by its luminance; white of black."""
+    luminance = (base * base.new_tensor(_LUMINANCE)).sum(-1, keepdim=True)
     dark = luminance <= 0
-    tint = torch.where(dark, 1, base_color / torch.where(dark, 1, luminance))
-    rest = 1 - metallic
-    tinted, f0 = rest * spec_tint, tint * ((_eta(specular) - 1) / (_eta(specular) + 1)).square()
-    return [
-        rest * base_color,
-        rest * sheen * (1 - sheen_tint + sheen_tint * tint),
-        rest * (1 - spec_tint),
-        metallic * base_color + tinted * f0,
-        metallic * (1 - base_color) + tinted * (1 - f0),
-        clearcoat,
-    ]
-
-
-def _terms(
-    pairs: Pairs, roughness: Tensor, specular: Tensor, clearcoat_gloss: Tensor, flatness: Tensor
-) -> list[Tensor]:
-    alpha = roughness.square().clamp_min(0.001)
-    visibility, _ = ggx_separable_visibility_and_log_derivative(pairs, alpha)
-    facets, fifth = ggx_distribution(alpha, tangent(pairs)) * visibility, schlick_weight(pairs)
-    return [
-        _diffuse(pairs, roughness, flatness),
-        fifth,
-        facets * dielectric(_eta(specular), pairs.cos_d),
-        facets,
-        facets * fifth,
-        _clearcoat(pairs, clearcoat_gloss),
-    ]
+    return torch.where(dark, 1, base / torch.where(dark, 1, luminance))
 
 
 def _eta(specular: Tensor) -> Tensor:
@@ -188,3 +154,37 @@ class Principled(Lobe):
     clearcoat_gloss: BoundedParameter = _share(0.5, "how sharp the clear coat is")
     flatness: BoundedParameter = _share(0.0, "share of flat diffuse reflection")
     function = staticmethod(principled)
+    is_material: ClassVar[bool] = True
+    scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "specular", "clearcoat_gloss", "flatness")
+
+    @classmethod
+    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """Diffuse reflection, sheen, Fresnel's specular reflection, Schlick's two terms, clear coat."""
+        roughness, specular, gloss, flatness = scalars
+        alpha = roughness.square().clamp_min(0.001)
+        visibility, _ = ggx_separable_visibility_and_log_derivative(pairs, alpha)
+        facets, fifth = ggx_distribution(alpha, tangent(pairs)) * visibility, schlick_weight(pairs)
+        return [
+            _diffuse(pairs, roughness, flatness),
+            fifth,
+            facets * dielectric(_eta(specular), pairs.cos_d),
+            facets,
+            facets * fifth,
+            _clearcoat(pairs, gloss),
+        ]
+
+    @classmethod
+    def coefficients(cls, **parameters: Tensor) -> Tensor:
+        """Of the terms in their order; Schlick's have what metal and tint add up to."""
+        base, metallic, tinted = parameters["base_color"], parameters["metallic"], parameters["spec_tint"]
+        tint, rest = _tint(base), 1 - metallic
+        eta, sheen_tint = _eta(parameters["specular"]), parameters["sheen_tint"]
+        f0 = tint * ((eta - 1) / (eta + 1)).square()
+        return columns(
+            rest * base,
+            rest * parameters["sheen"] * (1 - sheen_tint + sheen_tint * tint),
+            rest * (1 - tinted),
+            metallic * base + rest * tinted * f0,
+            metallic * (1 - base) + rest * tinted * (1 - f0),
+            parameters["clearcoat"],
+        )

@@ -11,7 +11,7 @@ import torch
 from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.files import write_json
 from torchbrdf.lobes.base import LOBES
-from torchbrdf.lobes.model import JOIN, from_parameters
+from torchbrdf.lobes.model import JOIN, SHARE, from_parameters, model_name
 from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.names import check_name
@@ -41,7 +41,8 @@ class FitRecord:
 
     Args:
         material: Name of the material.
-        model: Registered name of the specular lobes, or of all components, joined by +.
+        model: Registered name of the specular lobes, or of all components, joined by +, or of a whole material; behind
+            a colon the parameters that lobes share.
         lobes: How many of them there are.
         parameters: As `torchbrdf.lobes.parameters` gives them: `diffuse`, and a value a lobe for every other name.
         loss: Registered name of the loss that was minimised.
@@ -152,11 +153,11 @@ class FitRecord:
                     raise DataError(
                         f"{where}: {key}: expected at most {longest} printable characters, found {shown(text)}"
                     )
-        unknown = [part for part in self.model.split(JOIN) if part not in LOBES]
+        unknown = [part for part in self.model.partition(SHARE)[0].split(JOIN) if part not in LOBES]
         if unknown:
             raise DataError(f"{where}: model: expected one of {', '.join(LOBES)}, found {shown(unknown[0])}")
         try:
-            made = len(from_parameters(self.model, self.parameters).components()) - 1
+            made = model_name(from_parameters(self.model, self.parameters))[1]
         except TorchbrdfError as error:
             raise DataError(f"{where}: {error}") from None
         if made != self.lobes:

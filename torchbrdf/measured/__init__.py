@@ -7,6 +7,7 @@ from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.rgl import Rgl
+from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     "standins",
     "write_merl",
     "write_raw",
+    "write_rgl",
 ]

@@ -1,7 +1,7 @@
 """What a fit minimises: one kind of objective for each kind of loss, by the name that `Loss.objective` has."""
 
 from torchbrdf.errors import UsageError
-from torchbrdf.fitting.basis import is_linear_in_albedos
+from torchbrdf.fitting.basis import is_separable
 from torchbrdf.fitting.objective.autograd import AutogradObjective
 from torchbrdf.fitting.objective.base import FitObjective, GaussNewtonObjective
 from torchbrdf.fitting.objective.binned import BinnedObjective
@@ -32,5 +32,5 @@ def make_objective(model: Lobe, problem: Problem, loss: Loss) -> FitObjective:
         expected = ", ".join(OBJECTIVES)
         raise UsageError(f"{type(loss).__name__}.objective: expected one of {expected}, found {loss.objective!r}")
     kind = OBJECTIVES[loss.objective]
-    fits = is_linear_in_albedos(model) and kind.applies(loss)
+    fits = is_separable(model) and kind.applies(loss)
     return (kind if fits else AutogradObjective)(problem, loss)

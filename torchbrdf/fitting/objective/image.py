@@ -98,7 +98,7 @@ class ImageObjective(GaussNewtonObjective):
         else:
             value, slope = self._compare_with_gradient(observed, target)
         jacobian = basis.jacobian(values, albedos.double()).to(dtype)
-        picture_jacobian = torch.einsum("rqcp,rcqt->rtpc", responses[:, : len(basis.used)], jacobian).flatten(2)
+        picture_jacobian = torch.einsum("rqcp,rcqt->rtpc", responses[:, : basis.used], jacobian).flatten(2)
         gradient = (picture_jacobian @ slope.flatten(1)[..., None])[..., 0].double() / scale[:, None]
         if not curvature:
             return value / scale, gradient, gradient.new_empty(0)
@@ -109,7 +109,7 @@ class ImageObjective(GaussNewtonObjective):
     def _observed_responses(self, basis: Basis, values: ParameterDict, problems: int) -> Tensor:
         """What each channel observes of the responses, `(m, Q, 3, P)`."""
         pairs, dtype = self.problem.pairs, self.problem.target.dtype
-        count = len(basis.slopes) + len(basis.lobes)
+        count = len(basis.slopes) + basis.terms
         responses = torch.empty(problems, count, len(pairs), dtype=dtype, device=pairs.device)
         for part, own in self.chunks(problems):
             for k, one in enumerate(basis.responses(own, values, dtype)):

@@ -166,7 +166,7 @@ class PointwiseObjective(GaussNewtonObjective):
         rows = None if self.is_every_material(materials) else materials
         albedos = basis.albedos(values, dtype)
         width = None if width is None else width[:, None, None].to(dtype)
-        sums = self.sums(self, rows, len(basis.used), albedos, width, curvature)
+        sums = self.sums(self, rows, basis.used, albedos, width, curvature)
         for part, pairs in self.chunks(problems):
             if pairs.shape[0] > 1 and rows is not None:
                 pairs = pairs.select(rows)

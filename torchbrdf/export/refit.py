@@ -1,0 +1,81 @@
+"""What a program has no model for is fitted by one that it has."""
+
+from typing import NamedTuple
+
+import torch
+
+from torchbrdf.errors import DataError
+from torchbrdf.export.base import Material
+from torchbrdf.fitting import fit
+from torchbrdf.fitting.sampling import stratified
+from torchbrdf.lobes import Lobe, make_model
+from torchbrdf.losses import LOSSES
+from torchbrdf.measured import Measured
+from torchbrdf.measured.merl import bin_centers
+from torchbrdf.solvers import Status
+
+LOSS = "compressed"
+# Pairs at which a model's own values are fitted.
+SAMPLES = 20_000
+# Ends of a fit after which there is a model.
+ENDED = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
+
+
+class Refit(NamedTuple):
+    """A model fitted to a BRDF.
+
+    Attributes:
+        model: Not batched.
+        error: Under the loss named `LOSS`, on pairs of at most 80 degrees.
+        note: What was done, in one line.
+    """
+
+    model: Lobe
+    error: float
+    note: str
+
+
+def refit(material: Material, model: str) -> Refit:
+    """Fit a model to a material: to what was measured, or to a model's own values.
+
+    Args:
+        material: Of any BRDF.
+        model: Registered name of a lobe that is a whole material, such as "gltf", or of any model.
+
+    Returns:
+        The fit. One that ended before its minimum says so in its note.
+
+    Raises:
+        DataError: It cannot be fitted.
+
+    Example:
+        >>> from torchbrdf.export import Material
+        >>> from torchbrdf.lobes import GGX
+        >>> refit(Material("grey", GGX(specular=0.5, roughness=0.3)), "beckmann").error < 0.2
+        True
+    """
+    measured = material.brdf if isinstance(material.brdf, Measured) else _values_of(material.brdf, material.name)
+    result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=SAMPLES)
+    (status,), (reason,), error = result.status, result.reason, result.error.item()
+    if status not in ENDED:
+        raise DataError(f"{material.name}: cannot be refitted as {model}: {reason}")
+    early = "" if status == Status.CONVERGED else f"; not converged: {reason}"
+    return Refit(_first(result.model), error, f"refitted as {model} under {LOSS}: error {error:.3g}{early}")
+
+
+def _values_of(model: Lobe, name: str) -> Measured:
+    """A model's values at some of MERL's bins, as if they had been measured."""
+    pairs = bin_centers()
+    dtype = next(model.parameters()).dtype
+    pairs = pairs.select(samples=stratified(len(pairs), SAMPLES, seed=0)).to(dtype=dtype)
+    with torch.no_grad():
+        values = model(pairs).expand(1, -1, -1)
+    return Measured.from_samples(pairs, values, names=[name])
+
+
+def _first(model: Lobe) -> Lobe:
+    """The only material of a batched model, as a model that is not batched."""
+    for part in model.components():
+        for name in part.parameter_specs:
+            part._parameters[name] = torch.nn.Parameter(getattr(part, name).detach()[0])
+    return model
