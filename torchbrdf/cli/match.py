@@ -43,7 +43,6 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf match`."""
     from torchbrdf.errors import TorchbrdfError
-    from torchbrdf.perception.discrimination.words import MEANING
     from torchbrdf.report.match import PAGE, match
 
     bad: list[TorchbrdfError] = []

@@ -6,18 +6,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.experiment.items import distinct_stems
 from torchbrdf.experiment.matching import Budget, Match, Tried, find_budget, find_matches
-from torchbrdf.experiment.matching.judge import ALSO, DECIDES
+from torchbrdf.experiment.matching.judge import ALSO, DECIDES, Brdf
 from torchbrdf.experiment.matching.search import FAR_ENOUGH, to_json
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
-from torchbrdf.export import EXPORTERS, export
+from torchbrdf.export import EXPORTERS, Exported, export
 from torchbrdf.files import destination, writable, write_json
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.lobes import model_of
 from torchbrdf.measured import Measured, load_all
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Scene, cache_folder
@@ -82,10 +79,15 @@ def match(
         groups, target, budget, out=fits, scenes=scenes, cache=cache_folder(), progress=progress, bad=bad
     )
     stems = distinct_stems([one.material for one in matches])
-    finished = [_finish(one, stem, target, folder, bad) for one, stem in zip(matches, stems, strict=True)]
+    unwritten: list[TorchbrdfError] = []
+    finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, stems, strict=True)]
+    if bad is not None:
+        bad += unwritten
     if folder is not None:
         write_json(folder / LIST, [entry(one) for one in finished])
         write_match_page(folder / PAGE, finished, target, [str(error) for error in bad or []])
+    if unwritten and bad is None:
+        raise unwritten[0]
     return finished
 
 
@@ -135,30 +137,43 @@ def _groups(source: Source | Sequence[Source], bad: list[TorchbrdfError] | None)
     return found
 
 
-def _finish(
-    one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError] | None
-) -> Finished:
+def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError]) -> Finished:
     """Write a match for the target, and say where it is bad."""
-    differences = [DECIDES, ALSO]
     notes = []
     if one.reach < FAR_ENOUGH:
-        notes.append(
-            f"measured to {one.reach:g} degrees from the normal only; beyond, the nearest measured values stand in"
-        )
-    chosen, files, exact, shown = one.chosen, [], True, one.chosen.record
-    if folder is not None:
-        try:
-            done = export(chosen.record, target, folder, name=stem)
-        except TorchbrdfError as error:
-            notes.append(f"not written for {target}: {error}")
-            if bad is None:
-                raise
-            bad.append(DataError(f"{one.material}: not written for {target}: {error}"))
-        else:
-            files, exact, notes = done.files, done.exact, [*notes, *done.notes]
-            shown = chosen.record if done.exact else done.shown
-    figures = one.judge.figures(shown, differences)
+        notes.append(f"measured to {one.reach:g} degrees only; beyond, the nearest measured values stand in")
+    chosen, done = _written(one, stem, target, folder, bad)
+    exact = done is None or done.exact
+    shown: Brdf = chosen.record if done is None or done.exact else done.shown
+    figures = one.judge.figures(shown, _differences())
+    if done is not None:
+        notes += done.notes
+    if not exact:
+        notes.append(f"Delta E of the fit itself: {chosen.means}")
     found, by_angle = parts(one.judge, shown), angles(one.judge, shown)
-    return Finished(
-        one, chosen, shown, figures, files, exact, notes, found, by_angle, in_words(found, by_angle)
-    )
+    files = [] if done is None else done.files
+    return Finished(one, chosen, shown, figures, files, exact, notes, found, by_angle, in_words(found, by_angle))
+
+
+def _written(
+    one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError]
+) -> tuple[Tried, Exported | None]:
+    """The first of the fits that the target can show, and what was written of it; nothing if it can show none."""
+    refused: TorchbrdfError | None = None
+    for tried in one.ranked if folder is not None else ():
+        try:
+            return tried, export(tried.record, target, str(folder), name=stem)
+        except TorchbrdfError as error:
+            refused = refused or error
+    if refused is not None:
+        bad.append(DataError(f"{one.material}: not written for {target}: {refused}"))
+    return one.chosen, None
+
+
+def _differences() -> list[str]:
+    """Those that are shown: also just-objectionable differences, where the library that foretells them is installed."""
+    try:
+        DIFFERENCES[JOD]()
+    except UsageError:
+        return [DECIDES, ALSO]
+    return [DECIDES, ALSO, JOD]

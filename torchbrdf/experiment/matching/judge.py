@@ -88,9 +88,7 @@ class Judge:
     def __init__(self, measured: Measured, scenes: Mapping[str, Scene]) -> None:
         self.measured, self.scenes = measured, dict(scenes)
         self.linear = {name: self._draw(measured, name) for name in self.scenes}
-        self.tones = {
-            name: ToneMap.from_images(linear, self.scenes[name].mask) for name, linear in self.linear.items()
-        }
+        self.tones = {name: ToneMap.from_images(linear, self.scenes[name].mask) for name, linear in self.linear.items()}
 
     def reference(self, scene: str) -> Tensor:
         """Display values of the material, `(size, size, 3)`."""

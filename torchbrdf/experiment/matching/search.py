@@ -1,6 +1,7 @@
 """Fit every candidate, judge the fits, and choose: for each material the simplest model that looks like it."""
 
 import hashlib
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any
 
 import torch
 
-from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.experiment.matching.candidates import Budget, Candidate, candidates_for
 from torchbrdf.experiment.matching.judge import Figures, Judge, Means
 from torchbrdf.experiment.matching.training import training_loss
@@ -148,7 +149,7 @@ def find_matches(
         The matches, in the order of the materials.
 
     Raises:
-        UsageError: There is no material, or two have the same name.
+        UsageError: There is no material.
         DataError: The folder cannot be used; or, without `bad`, a material cannot be matched.
     """
     began = time.perf_counter()
@@ -173,7 +174,7 @@ def find_matches(
         if entry.match.tried:
             found.append(entry.match)
         else:
-            _say(bad, DataError(f"{entry.match.material}: no fit came to an end: {entry.reason or 'no status'}"))
+            _say(bad, DataError(f"{entry.match.material}: no fit came to an end: {entry.reason or 'none was begun'}"))
     return found
 
 
@@ -196,19 +197,19 @@ def _tag(loss: str, budget: Budget) -> str:
 def _entries(
     groups: Sequence[Measured], scenes: Mapping[str, Scene], bad: list[TorchbrdfError] | None, out: Path | None
 ) -> list[_Entry]:
-    names = [name for group in groups for name in group.names]
-    if not names:
+    """The materials, each with the pictures that judge its fits; what has none is said."""
+    if not any(map(len, groups)):
         raise UsageError("match: expected at least one material, found none")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise UsageError(f"match: {shown(twice[0])} comes twice; give each file a name of its own")
-    known = _Known(out)
+    known, taken = _Known(out), set()
     found = []
     for number, group in enumerate(groups):
         for row in range(len(group)):
             one = group.batch([row])
             name = group.names[row]
             try:
+                if name in taken:
+                    raise DataError(f"{name}: comes twice; give each file a name of its own")
+                taken.add(name)
                 known.check(name, one)
                 match = Match(name, Judge(one, scenes), reach=reach(one))
             except TorchbrdfError as error:
@@ -237,7 +238,7 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
     records = batches.run(parts, progress)
     for entry, record in zip([one for own in groups.values() for one in own], records, strict=True):
         figures = entry.match.judge.figures(record)
-        if all(one.delta_e76 < torch.inf for one in figures.values()):
+        if record.error < math.inf and all(one.delta_e76 < math.inf for one in figures.values()):
             entry.match.tried.append(Tried(candidate, record, figures))
         else:
             entry.reason = record.reason or record.status
@@ -267,9 +268,13 @@ class _Known:
 
     def __init__(self, folder: Path | None) -> None:
         self.path = None if folder is None else folder / MATERIALS
-        self.digests: dict[str, str] = {}
-        if self.path is not None and self.path.exists():
-            self.digests = read_json(self.path, dict[str, str], "digests of materials, from match")
+        self.digests = self._read()
+
+    def _read(self) -> dict[str, str]:
+        if self.path is None or not self.path.exists():
+            return {}
+        found: dict[str, str] = read_json(self.path, dict[str, str], "digests of materials, from match")
+        return found
 
     def check(self, name: str, measured: Measured) -> None:
         """A DataError if the folder's fits of that name are of something else."""
@@ -278,11 +283,11 @@ class _Known:
             raise DataError(f"{name}: expected the material that {self.path} has, found another; give another folder")
 
     def save(self) -> None:
-        """Write what is known now."""
+        """Write what is known now, beside what other processes found."""
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with locked(self.path.parent, wait=60.0):
-                write_json(self.path, self.digests)
+                write_json(self.path, self._read() | self.digests)
 
 
 def digest(measured: Measured) -> str:

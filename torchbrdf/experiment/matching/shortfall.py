@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -98,14 +99,14 @@ def parts(judge: Judge, brdf: Brdf) -> list[Part]:
 
 
 def angles(judge: Judge, brdf: Brdf) -> list[Angles]:
-    """What a BRDF reflects of what the measurement does, by half angle and by how far from the normal directions are."""
+    """What a BRDF reflects of what the measurement does, by half angle and by how far from the normal that is."""
     pairs = uniform_pairs(DIRECTIONS).unsqueeze().to(dtype=torch.float32)
     measured, fitted = judge.measured.at(pairs)[0], values_of(brdf, pairs)[0]
     cosine = (pairs.cos_i * pairs.cos_o)[0]
     low = (torch.minimum(pairs.cos_i, pairs.cos_o) < 0.5)[0]
     half = torch.rad2deg(pairs.theta_h)[0]
     found = []
-    for first, last in zip(HALF_ANGLES, HALF_ANGLES[1:], strict=False):
+    for first, last in pairwise(HALF_ANGLES):
         for grazing in (False, True):
             own = (half >= first) & (half < last) & (low == grazing)
             there = (measured[own] * cosine[own, None]).sum(0)

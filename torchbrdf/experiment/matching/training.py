@@ -7,7 +7,7 @@ from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, SideBySid
 
 DIFFERENCE = "delta_e76"
 # Few half vectors and bins, as of `small_scene`: what a fit sees need not be drawn as well as what judges it.
-_PLAIN = {"nodes": 64, "resolution": (24, 16, 12)}
+_NODES, _RESOLUTION = 64, (24, 16, 12)
 
 
 def training_loss(size: int, views: int, cache: Path | None = None) -> Loss:
@@ -23,5 +23,5 @@ def training_loss(size: int, views: int, cache: Path | None = None) -> Loss:
         (blob(), Camera(120, elevation=20), Environment.default(90)),
         (sphere(), Camera(220, elevation=-10), Environment.default(200)),
     )
-    scenes = [Scene(*parts, size=size, cache=cache, **_PLAIN) for parts in made[:views]]
+    scenes = [Scene(*parts, size, _NODES, resolution=_RESOLUTION, cache=cache) for parts in made[:views]]
     return RenderedLoss(SideBySide(scenes), DIFFERENCE)
