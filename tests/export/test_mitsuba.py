@@ -7,11 +7,14 @@ from typing import Any
 import pytest
 import torch
 from helpers.directions import hemisphere
+from helpers.measured_files import BINS, merl_centres
 from helpers.mitsuba_pictures import Studio, likeness, mitsuba, obstacle
 
+from torchbrdf.errors import DataError
 from torchbrdf.export import Exported, export
 from torchbrdf.export.mitsuba import mitsuba_dict
 from torchbrdf.lobes import GGX, Lambert, Principled, RoughConductor, Sum
+from torchbrdf.measured import Measured, load, standins, write_merl
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Camera, Environment, Scene, blob, render, sphere
 
@@ -121,3 +124,67 @@ def test_a_blend_within_one_has_plain_colours() -> None:
         pytest.approx([0.75] * 3),
         pytest.approx([0.75] * 3),
     ]
+
+
+def merl_table(name: str, folder: Path) -> Measured:
+    """A stand-in for a measured material as a MERL table."""
+    stand_in = load(standins(), dtype=torch.float64)
+    values = stand_in.batch([stand_in.names.index(name)]).at(
+        Pairs.from_half_diff(*(torch.from_numpy(centre.reshape(1, -1)) for centre in merl_centres()))
+    )
+    write_merl(folder / f"{name}.binary", values.reshape(*BINS, 3))
+    return load(folder / f"{name}.binary")
+
+
+@MITSUBA
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nickel", "nylon", "alum-bronze", "light-red-paint", "blue-acrylic"])
+def test_measured_ones_have_the_same_picture(name: str, tmp_path: Path) -> None:
+    measured = merl_table(name, tmp_path)
+    done = export(measured, "mitsuba", tmp_path / "out")
+    assert not done.exact and [path.name for path in done.files] == [f"{name}.xml", f"{name}.bsdf"]
+    ours = render(measured, scene_of("sphere"))[0]
+    theirs = [studio("sphere").picture(loaded(done), SAMPLES, seed) for seed in (0, 1)]
+    found = likeness(ours, theirs, studio("sphere").where)
+    assert found.psnr > 40, found
+    assert found.ratio == pytest.approx(1, abs=0.01), found
+
+
+@MITSUBA
+def test_a_table_lies_beside_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From wherever the file is loaded, whatever else of that name is there."""
+    model = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), GGX(specular=0.4, roughness=0.3))
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "paint.bsdf").write_text("something else")
+    done = export(model, "mitsuba", tmp_path / "there", name="paint")
+    assert not done.exact and done.shown is not None
+    monkeypatch.chdir(tmp_path / "here")
+    wi, wo = (hemisphere(200, seed=seed, dtype=torch.float32).double() for seed in (3, 4))
+    found, expected = values(loaded(done), wo, wi), model(Pairs.from_directions(wi, wo)).detach()
+    assert ((found - expected).abs() / expected).median() < 0.01
+    (tmp_path / "there").rename(tmp_path / "moved")
+    assert str(mitsuba().load_file(str(tmp_path / "moved" / "paint.xml"))).startswith("Measured")
+
+
+@MITSUBA
+@pytest.mark.parametrize("name", ["$5 & <more>", "€", "a b"])
+def test_any_name_is_loaded(name: str, tmp_path: Path) -> None:
+    assert loaded(export(GGX(roughness=0.5), "mitsuba", tmp_path, name=name)).id() == name.replace("$", "_")
+    assert loaded(export(CHALK, "mitsuba", tmp_path / "chalk", name=name)).id() == name.replace("$", "_")
+
+
+def test_a_file_of_rgl_is_copied(tmp_path: Path) -> None:
+    """It is exact, and never written over itself."""
+    own = export(GGX(roughness=0.5), "rgl", tmp_path / "rgl", name="mine").files[0]
+    done = export(own, "mitsuba", tmp_path)
+    assert done.exact and done.files[1].read_bytes() == own.read_bytes()
+    with pytest.raises(DataError, match=r"mine.bsdf: expected another folder or name, found the file that is exported"):
+        export(own, "mitsuba", own.parent)
+    assert not (own.parent / "mine.xml").exists()
+
+
+def test_a_dict_has_the_path_of_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert mitsuba_dict(GGX(roughness=0.5)) == {"type": "measured", "filename": str(tmp_path / "material.bsdf")}
+    found = mitsuba_dict(GGX(roughness=0.5), "there")
+    assert Path(found["filename"]) == tmp_path / "there" / "material.bsdf" and Path(found["filename"]).exists()

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import from_half_diff
-from helpers.exact_lobes import EXACT, Geometry, decades
+from helpers.exact_lobes import Geometry, decades
+from helpers.exact_materials import EXACT
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from mpmath import mpf

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.export.mtlx import conductor, diffuse, ggx
+from torchbrdf.export.mtlx import conductor, diffuse, ggx, inputs_of
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values
 from torchbrdf.files import write_text
 
@@ -80,6 +80,8 @@ BLENDER = Target(
     title="Blender's Principled BSDF",
     limits=SOCKETS,
     model="openpbr",
+    translated=lambda lobe: sockets(inputs_of(lobe)),
+    differs="OpenPBR's parameters; Blender's layers are mixed in a way of its own",
     simple={
         "lambert": _diffuse,
         "ggx": lambda lobe: _metal(ggx(lobe)),

@@ -21,6 +21,19 @@ PLACES: dict[str, dict[str, Limits]] = {
     "KHR_materials_clearcoat": {"clearcoatFactor": UNIT, "clearcoatRoughnessFactor": UNIT},
     "KHR_materials_sheen": {"sheenColorFactor": COLOUR, "sheenRoughnessFactor": UNIT},
 }
+# The factors by the parameters of the lobe.
+FACTORS = {
+    "base_color": "baseColorFactor",
+    "metallic": "metallicFactor",
+    "roughness": "roughnessFactor",
+    "ior": "ior",
+    "specular": "specularFactor",
+    "specular_color": "specularColorFactor",
+    "clearcoat": "clearcoatFactor",
+    "clearcoat_roughness": "clearcoatRoughnessFactor",
+    "sheen_color": "sheenColorFactor",
+    "sheen_roughness": "sheenRoughnessFactor",
+}
 # What a file means that does not say it, of which there is no need to say more.
 DEFAULTS: Values = {
     "ior": 1.5,
@@ -74,17 +87,24 @@ def _conductor(lobe: Any) -> Values | None:
     }
 
 
+def _own(lobe: Any) -> Values:
+    """The lobe has glTF's own parameters."""
+    return {FACTORS[name]: numbers_of(getattr(lobe, name)) for name in lobe.parameter_specs}
+
+
 GLTF = Target(
     title="glTF's metallic-roughness material",
     limits={name: limits for place in PLACES.values() for name, limits in place.items()},
     model="gltf",
+    translated=_own,
+    differs="",
     simple={"lambert": _lambert, "ggx": _ggx, "ggx_f82": _conductor},
 )
 
 
 @EXPORTERS.register("gltf")
 class Gltf(Exporter):
-    """A `.glb` of the blob, or of another mesh, whose material is made of factors: without textures, it needs no UVs."""
+    """A `.glb` of the blob, or of another mesh; its material has factors and no textures, so that no UVs are needed."""
 
     suffix = ".glb"
     writes_mesh = True

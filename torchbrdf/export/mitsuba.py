@@ -14,8 +14,10 @@ from torch import Tensor
 
 from torchbrdf.export.api import material_of, write
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
+from torchbrdf.export.shading import visible
 from torchbrdf.files import write_text
-from torchbrdf.lobes import LOBES, FitRecord, Lobe
+from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
+from torchbrdf.names import file_stem
 
 Bsdf = dict[str, Any]
 """A BSDF as `mitsuba.load_dict` takes it."""
@@ -23,6 +25,8 @@ Bsdf = dict[str, Any]
 # Of the format of the file.
 VERSION = "3.0.0"
 TABLE = ".bsdf"
+# What Mitsuba takes for the beginning of a parameter's name, in any value.
+PARAMETER = "$"
 
 
 # Parameters of Mitsuba's plugins that have other names here.
@@ -67,16 +71,15 @@ def plugin_of(brdf: Brdf) -> Bsdf | None:
     """
     if not isinstance(brdf, Lobe):
         return None
-    components = brdf.components()
-    heights = [_height(component) for component in components]
-    seen = [one for one, height in zip(components, heights, strict=True) if height] or components[:1]
-    if any(LOBES.name_of(type(component)) not in PLUGINS for component in seen):
+    parts = visible(brdf) or [Lambert(albedo=0.0)]
+    if any(LOBES.name_of(type(part)) not in PLUGINS for part in parts):
         return None
-    if len(seen) == 1:
-        return _plugin(seen[0], 1.0)
-    if None in map(_scale, seen):
+    if len(parts) == 1:
+        return _plugin(parts[0], 1.0)
+    scales = [_scale(part) for part in parts]
+    if None in scales:
         return None
-    return _blend(seen, [_height(component) for component in seen])
+    return _blend(parts, [max(numbers(getattr(part, str(scale)))) for part, scale in zip(parts, scales, strict=True)])
 
 
 def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) -> Bsdf:
@@ -94,7 +97,7 @@ def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) 
 
 
 def _plugin(lobe: Lobe, factor: float) -> Bsdf:
-    """The plugin of a lobe, whose colour is multiplied."""
+    """The plugin of a lobe, whose colour is multiplied by a factor."""
     settings, scale, names = PLUGINS[str(LOBES.name_of(type(lobe)))]
     made = dict(settings)
     for own in lobe.parameter_specs:
@@ -114,12 +117,6 @@ def _scale(lobe: Lobe) -> str | None:
     return PLUGINS[str(LOBES.name_of(type(lobe)))][1]
 
 
-def _height(lobe: Lobe) -> float:
-    """The largest channel of its albedo; 1 for a lobe that has none."""
-    albedo = type(lobe).albedo_spec()
-    return 1.0 if albedo is None else float(getattr(lobe, albedo.name).detach().max())
-
-
 @EXPORTERS.register("mitsuba")
 class Mitsuba(Exporter):
     """A `<bsdf>` that `mitsuba.load_file` gives as a BSDF: a plugin where Mitsuba has the model, else a table."""
@@ -134,9 +131,11 @@ class Mitsuba(Exporter):
         if plugin is not None:
             write_text(path, to_xml(plugin, material.name))
             return Exported([path], True, [f"exact: Mitsuba's {_types(plugin)}"], material.brdf)
-        table = EXPORTERS["rgl"]().write(material, folder)
+        table = EXPORTERS["rgl"]().write(
+            Material(file_stem(material.name.replace(PARAMETER, "?")), material.brdf), folder
+        )
         write_text(path, to_xml({"type": "measured", "filename": table.files[0].name}, material.name))
-        return Exported([path, *table.files], False, table.notes, table.shown)
+        return Exported([path, *table.files], table.exact, table.notes, table.shown)
 
 
 def _types(plugin: Bsdf) -> str:
@@ -147,7 +146,7 @@ def _types(plugin: Bsdf) -> str:
 
 def to_xml(plugin: Bsdf, name: str) -> str:
     """A BSDF as the text of an XML file."""
-    root = ElementTree.Element("bsdf", version=VERSION, type=plugin["type"], id=name)
+    root = ElementTree.Element("bsdf", version=VERSION, type=plugin["type"], id=name.replace(PARAMETER, "_"))
     root.extend(_elements(plugin))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -72,10 +72,17 @@ def _metal(f0: list[float], tint: list[float], weight: float, alpha: float) -> V
     }
 
 
+def inputs_of(lobe: Any) -> Values:
+    """The lobe has OpenPBR's own parameters."""
+    return {name: numbers_of(getattr(lobe, name)) for name in lobe.parameter_specs}
+
+
 OPENPBR = Target(
     title="OpenPBR's surface",
     limits=INPUTS,
     model="openpbr",
+    translated=inputs_of,
+    differs="",
     simple={"lambert": diffuse, "eon": diffuse, "ggx": ggx, "ggx_f82": conductor},
 )
 

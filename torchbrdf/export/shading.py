@@ -55,14 +55,18 @@ class Target:
     Args:
         title: What notes call it.
         limits: Its parameters by the program's names.
-        model: Registered name of the lobe that is fitted to what it does not have.
-        simple: By the registered name of a lobe, such as "lambert", the parameters with which the program shows that
-            lobe alone exactly; None where it cannot.
+        model: Registered name of the lobe that is a whole material, and is fitted to what the program does not have.
+        translated: The program's parameters for that lobe's.
+        differs: In what the program's own function differs from that lobe; nothing if it does not.
+        simple: By the registered name of another lobe, such as "lambert", the parameters with which the program shows
+            that lobe alone exactly; None where it cannot.
     """
 
     title: str
     limits: Mapping[str, Limits]
     model: str
+    translated: Callable[[Any], Values]
+    differs: str
     simple: Mapping[str, Callable[[Any], Values | None]]
 
     def shading(self, material: Material) -> Shading:
@@ -71,25 +75,33 @@ class Target:
         Raises:
             DataError: The material cannot be fitted.
         """
-        found = self._exactly(material.brdf) if isinstance(material.brdf, Lobe) else None
-        if found is not None:
-            values, changes = within(found, self.limits, material.name)
-            return Shading(values, not changes, changes or [f"exact: {self.title}"], material.brdf)
+        if isinstance(material.brdf, Lobe):
+            (part, *more) = visible(material.brdf) or [Lambert(albedo=0.0)]
+            kind = None if more else LOBES.name_of(type(part))
+            found = self._exactly(part, kind, material)
+            if found is not None:
+                return found
+            if kind == self.model:
+                return self._own(part, material.brdf, material.name, [])
         fitted = refit(material, self.model)
-        (lobe,) = fitted.model.components()
-        values, changes = within(self._own(lobe), self.limits, material.name)
-        return Shading(values, False, [fitted.note, *changes], fitted.model)
+        (part,) = fitted.model.components()
+        return self._own(part, fitted.model, material.name, [fitted.note])
 
-    def _exactly(self, brdf: Lobe) -> Values | None:
-        parts = visible(brdf) or [Lambert(albedo=0.0)]
-        name = LOBES.name_of(type(parts[0])) if len(parts) == 1 else None
-        return self.simple[name](parts[0]) if name in self.simple else None
-
-    def _own(self, lobe: Lobe) -> Values:
-        found = self.simple[self.model](lobe)
+    def _exactly(self, lobe: Lobe, kind: str | None, material: Material) -> Shading | None:
+        """The same function in the program's terms, if it has it within its limits."""
+        simple = self.simple.get(kind or "")
+        found = simple(lobe) if simple is not None else None
         if found is None:
-            raise UsageError(f"{self.title}: expected parameters of {self.model}, found none")
-        return found
+            return None
+        values, changes = within(found, self.limits, material.name)
+        return None if changes else Shading(values, True, [f"exact: {self.title}"], material.brdf)
+
+    def _own(self, lobe: Lobe, model: Lobe, name: str, notes: list[str]) -> Shading:
+        """The lobe that is like the program's material."""
+        values, changes = within(self.translated(lobe), self.limits, name)
+        differs = [f"{self.title}: {self.differs}"] if self.differs else []
+        exact = not (notes or changes or differs)
+        return Shading(values, exact, [f"exact: {self.title}"] if exact else [*notes, *changes, *differs], model)
 
 
 def visible(brdf: Lobe) -> list[Lobe]:

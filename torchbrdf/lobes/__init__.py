@@ -13,9 +13,11 @@ from torchbrdf.lobes.eon import EON, eon
 from torchbrdf.lobes.fresnel import conductor, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
+from torchbrdf.lobes.gltf import GLTF, gltf
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
+from torchbrdf.lobes.openpbr import OpenPBR, openpbr
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
@@ -30,6 +32,7 @@ __all__ = [
     "EON",
     "GGX",
     "GGXF82",
+    "GLTF",
     "GTR",
     "LOBES",
     "AshikhminShirley",
@@ -43,6 +46,7 @@ __all__ = [
     "Lambert",
     "Lobe",
     "LowABC",
+    "OpenPBR",
     "OrenNayar",
     "Principled",
     "RoughConductor",
@@ -66,11 +70,13 @@ __all__ = [
     "from_parameters",
     "ggx",
     "ggx_f82",
+    "gltf",
     "gtr",
     "lambert",
     "make_model",
     "model_name",
     "model_of",
+    "openpbr",
     "oren_nayar",
     "parameters",
     "principled",

@@ -138,6 +138,24 @@ def albedo(shape: tuple[int, ...] = (3,), *, start: float, upper: float = 1.0, d
     return BoundedParameter(start=start, lower=0.0, upper=upper, doc=doc, shape=shape, linear=True)
 
 
+def share(start: float, doc: str) -> BoundedParameter:
+    """Declare a number from 0 to 1.
+
+    Args:
+        start: where a fit starts.
+        doc: what it means, in a few words.
+
+    Returns:
+        The declaration, a `BoundedParameter`.
+
+    Example:
+        >>> from torchbrdf.lobes import Principled
+        >>> Principled.metallic.lower, Principled.metallic.upper
+        (0.0, 1.0)
+    """
+    return BoundedParameter(start=start, lower=0.0, upper=1.0, doc=doc)
+
+
 def _as_tensor(value: Value, where: str) -> Tensor:
     """A value as a tensor of real numbers; without a device of its own on the CPU, whatever torch's default is."""
     if isinstance(value, Tensor):

@@ -13,7 +13,7 @@ from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
 from torchbrdf.lobes.ggx import ggx_distribution
-from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.parameter import BoundedParameter, share
 from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_ratio
@@ -116,10 +116,6 @@ def _clearcoat(pairs: Pairs, gloss: Tensor) -> Tensor:
     return 0.25 * facets * masked * fresnel(width.new_tensor(0.04), pairs)
 
 
-def _share(start: float, doc: str) -> BoundedParameter:
-    return BoundedParameter(start=start, lower=0.0, upper=1.0, doc=doc)
-
-
 @LOBES.register("principled")
 class Principled(Lobe):
     """Disney's principled material as Mitsuba 3's `principled`, a whole material, opaque and isotropic.
@@ -139,7 +135,7 @@ class Principled(Lobe):
     base_color: BoundedParameter = BoundedParameter(
         start=0.5, lower=0.0, upper=1.0, shape=(3,), doc="colour of diffuse reflection and of a metal, per channel"
     )
-    metallic: BoundedParameter = _share(0.5, "share of metal")
+    metallic: BoundedParameter = share(0.5, "share of metal")
     roughness: BoundedParameter = BoundedParameter(
         start=0.3, lower=0.032, upper=1.0, log=True, doc="the square root of alpha"
     )
@@ -147,12 +143,12 @@ class Principled(Lobe):
     specular: BoundedParameter = BoundedParameter(
         start=0.5, lower=0.001, upper=1.0, doc="12.5 times the reflectance at normal incidence"
     )
-    spec_tint: BoundedParameter = _share(0.0, "share of specular reflection in the base colour")
-    sheen: BoundedParameter = _share(0.0, "strength of the sheen")
-    sheen_tint: BoundedParameter = _share(0.0, "share of the sheen in the base colour")
-    clearcoat: BoundedParameter = _share(0.0, "strength of the clear coat")
-    clearcoat_gloss: BoundedParameter = _share(0.5, "how sharp the clear coat is")
-    flatness: BoundedParameter = _share(0.0, "share of flat diffuse reflection")
+    spec_tint: BoundedParameter = share(0.0, "share of specular reflection in the base colour")
+    sheen: BoundedParameter = share(0.05, "strength of the sheen")
+    sheen_tint: BoundedParameter = share(0.0, "share of the sheen in the base colour")
+    clearcoat: BoundedParameter = share(0.1, "strength of the clear coat")
+    clearcoat_gloss: BoundedParameter = share(0.5, "how sharp the clear coat is")
+    flatness: BoundedParameter = share(0.0, "share of flat diffuse reflection")
     function = staticmethod(principled)
     is_material: ClassVar[bool] = True
     scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "specular", "clearcoat_gloss", "flatness")

@@ -1,0 +1,191 @@
+"""The formulas of renderers' materials, put together as their specifications do, with any number of digits.
+
+Colours are grey here; test_materials.py has those of several channels.
+"""
+
+from collections.abc import Callable
+
+import mpmath
+from hypothesis import strategies as st
+from mpmath import mpf
+
+from helpers.exact_lobes import (
+    EXACT,
+    Geometry,
+    correlated,
+    decades,
+    exact_charlie,
+    exact_dielectric,
+    exact_eon,
+    exact_ggx_distribution,
+    exact_gtr_distribution,
+    f82,
+    ggx_lambda,
+    separable,
+    shares,
+    unit,
+)
+
+
+def exact_principled(g: Geometry, base: mpf, metallic: mpf, roughness: mpf, specular: mpf, *rest: mpf) -> mpf:
+    """Burley's formulas as Mitsuba combines them, of a grey base colour, by which a tint is none."""
+    spec_tint, sheen, _, clearcoat, gloss, flatness = rest
+    fifth, at_i, at_o = ((1 - c) ** 5 for c in (g.o_h, g.n_i, g.n_o))
+    eta = 2 / (1 - mpmath.sqrt(mpf("0.08") * specular)) - 1
+    f90 = mpf(1) / 2 + 2 * roughness * g.o_h**2
+    # Burley's eq. 4 is the product; Mitsuba adds up its terms as in the course notes of 2015.
+    retro = (1 + (f90 - 1) * at_i) * (1 + (f90 - 1) * at_o)
+    f_ss90 = roughness * g.o_h**2
+    flat = (1 + (f_ss90 - 1) * at_i) * (1 + (f_ss90 - 1) * at_o)
+    flat = mpf("1.25") * (flat * (1 / (g.n_i + g.n_o) - mpf(1) / 2) + mpf(1) / 2)
+    diffuse = base / mpmath.pi * (retro + flatness * (flat - retro))
+    f0 = ((eta - 1) / (eta + 1)) ** 2
+    reflected = (1 - metallic) * (1 - spec_tint) * exact_dielectric(g.o_h, eta)
+    reflected += metallic * (base + (1 - base) * fifth) + (1 - metallic) * spec_tint * (f0 + (1 - f0) * fifth)
+    alpha = max(roughness**2, mpf("0.001"))
+    main = exact_ggx_distribution(g, alpha) * separable(g, alpha) * reflected
+    width = mpf("0.1") + (mpf("0.001") - mpf("0.1")) * gloss
+    shadow = separable(g, mpf(1) / 4) * 4 * g.n_i * g.n_o
+    coat = clearcoat / 4 * (mpf("0.04") + mpf("0.96") * fifth) * exact_gtr_distribution(g, width, mpf(1)) * shadow
+    return (1 - metallic) * (diffuse + sheen * fifth) + main + coat
+
+
+def facets(g: Geometry, roughness: mpf) -> mpf:
+    return exact_ggx_distribution(g, roughness**2) * correlated(g, ggx_lambda(roughness**2))
+
+
+def mix(first: mpf, second: mpf, share: mpf) -> mpf:
+    return first * (1 - share) + second * share
+
+
+def schlick(f0: mpf, cosine: mpf) -> mpf:
+    return f0 + (1 - f0) * (1 - cosine) ** 5
+
+
+def within(value: mpf) -> mpf:
+    return min(max(value, mpf(0)), mpf(1))
+
+
+def fitted(x: mpf, y: mpf, powers: list[tuple[int, int]], numbers: list[str]) -> mpf:
+    return sum(mpf(number) * x**i * y**j for (i, j), number in zip(powers, numbers, strict=True))
+
+
+def charlie_albedo(cosine: mpf, alpha: mpf) -> mpf:
+    """MaterialX' `mx_imageworks_sheen_dir_albedo_analytic`."""
+    powers = [(0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2)]
+    above = fitted(
+        cosine, alpha, powers, ["13.67300", "-68.78018", "799.08825", "-905.00061", "60.28956", "1086.96473"]
+    )
+    below = fitted(cosine, alpha, powers, ["1", "61.57746", "442.78211", "2597.49308", "121.81241", "3045.55075"])
+    return within(above / below)
+
+
+def ggx_albedo(cosine: mpf, alpha: mpf, f0: mpf) -> mpf:
+    """MaterialX' `mx_ggx_dir_albedo_analytic`, of F90 = 1."""
+    powers = [(0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2)]
+    columns = zip(
+        ["0.1003", "0.9345", "1.0", "1.0"],
+        ["-0.6303", "-2.323", "-1.765", "0.2281"],
+        ["9.748", "2.229", "8.263", "15.94"],
+        ["-2.038", "-3.748", "11.53", "-55.83"],
+        ["29.34", "1.424", "28.96", "13.08"],
+        ["-8.245", "-0.7684", "-7.507", "41.26"],
+        ["-26.44", "1.436", "-36.11", "54.9"],
+        ["19.99", "0.2913", "15.86", "300.2"],
+        ["-5.448", "0.6286", "33.37", "-285.1"],
+        strict=True,
+    )
+    a, b, below_a, below_b = (fitted(cosine, alpha, powers, list(numbers)) for numbers in columns)
+    return f0 * within(a / below_a) + within(b / below_b)
+
+
+def light_and_viewer(g: Geometry) -> tuple[list[mpf], list[mpf]]:
+    """The viewer counts as the lower one."""
+    return (g.wi, g.wo) if g.n_o <= g.n_i else (g.wo, g.wi)
+
+
+def exact_gltf(g: Geometry, base: mpf, metallic: mpf, roughness: mpf, specular: mpf, tint: mpf, *rest: mpf) -> mpf:
+    """Appendix B of the specification, and the extensions' functions."""
+    ior, clearcoat, coat_roughness, sheen, sheen_roughness = rest
+    viewer = light_and_viewer(g)[1][2]
+    f0 = min(((1 - ior) / (1 + ior)) ** 2 * tint, mpf(1))
+    reflected = schlick(f0, g.o_h)
+    dielectric = (1 - specular * reflected) * base / mpmath.pi + specular * reflected * facets(g, roughness)
+    metal = facets(g, roughness) * schlick(base, g.o_h)
+    material = mix(dielectric, metal, metallic)
+    alpha = sheen_roughness**2
+    scaling = min(1 - sheen * charlie_albedo(cosine, alpha) for cosine in (g.n_i, g.n_o))
+    material = exact_charlie(g, sheen, alpha) + scaling * material
+    return mix(material, facets(g, coat_roughness), clearcoat * schlick(mpf("0.04"), viewer))
+
+
+def fuzz_albedo(cosine: mpf, y: mpf) -> mpf:
+    """MaterialX' `mx_zeltner_sheen_dir_albedo`."""
+    width = y * (mpf("0.0206607") + mpf("1.58491") * y) / (mpf("0.0379424") + y * (mpf("1.32227") + y))
+    middle = mpf("-0.193854") + y * (mpf("-1.14885") + y * (mpf("1.7932") - mpf("0.95943") * y * y))
+    middle *= y / (mpf("0.046391") + y)
+    least = y * (mpf("0.000654023") + (mpf("-0.0207818") + mpf("0.119681") * y) * y)
+    least /= mpf("1.26264") + y * (mpf("-1.92021") + y)
+    away = min(((cosine - middle) / width) ** 2, mpf(150))
+    return mpmath.exp(-away / 2) / (width * mpmath.sqrt(2 * mpmath.pi)) + least
+
+
+def fuzz(g: Geometry, y: mpf) -> mpf:
+    """A linearly transformed cosine, in the frame whose x axis is that of the viewer's azimuth."""
+    light, viewer = light_and_viewer(g)
+    x = viewer[2]
+    a = (mpf("2.58126") * x + mpf("0.813703") * y) * y / (1 + mpf("0.310327") * x * x + mpf("2.60994") * x * y)
+    b = mpmath.sqrt(1 - x) * (y - 1) * y**3
+    b /= mpf("0.0000254053") + mpf("1.71228") * x - mpf("1.71506") * x * y + mpf("1.34174") * y * y
+    sine = mpmath.sqrt(viewer[0] ** 2 + viewer[1] ** 2)
+    axis = [viewer[0] / sine, viewer[1] / sine] if sine else [mpf(1), mpf(0)]
+    along = light[0] * axis[0] + light[1] * axis[1]
+    across = light[1] * axis[0] - light[0] * axis[1]
+    turned = [a * along + b * light[2], a * across, light[2]]
+    square = sum(one**2 for one in turned)
+    density = light[2] / mpmath.pi * (a / square) ** 2
+    return fuzz_albedo(x, y) * density / light[2]
+
+
+def exact_openpbr(g: Geometry, *values: mpf) -> mpf:
+    """The reference graph of MaterialX, node by node."""
+    base_color, base_diffuse_roughness, base_metalness, specular_weight, specular_color, *rest = values
+    specular_roughness, specular_ior, coat_weight, coat_color, coat_roughness, coat_ior, darkening, *rest = rest
+    fuzz_weight, fuzz_color, fuzz_roughness = rest
+    viewer = light_and_viewer(g)[1][2]
+    rougher = min(mpf(1), 2 * coat_roughness**4 + specular_roughness**4) ** (mpf(1) / 4)
+    roughness = mix(specular_roughness, rougher, coat_weight)
+    ratio = specular_ior / coat_ior
+    eta_s = mix(specular_ior, ratio if ratio > 1 else 1 / ratio, coat_weight)
+    epsilon = mpmath.sign(eta_s - 1) * mpmath.sqrt(specular_weight * ((eta_s - 1) / (eta_s + 1)) ** 2)
+    eta = (1 + epsilon) / (1 - epsilon)
+    coat_f0 = ((coat_ior - 1) / (coat_ior + 1)) ** 2
+    diffuse = exact_eon(g, base_color, base_diffuse_roughness)
+    glossy = facets(g, roughness) * exact_dielectric(g.o_h, eta) * specular_color
+    dielectric = glossy + (1 - ggx_albedo(viewer, roughness**2, epsilon**2)) * diffuse
+    metal = specular_weight * facets(g, roughness) * f82(g, base_color, specular_color)
+    material = mix(dielectric, metal, base_metalness)
+    k = 1 - (1 - coat_f0) / coat_ior**2
+    albedo = mix(base_color, base_color * specular_weight, base_metalness)
+    material *= mix(mpf(1), (1 - k) / (1 - albedo * k), coat_weight * darkening) * mix(mpf(1), coat_color, coat_weight)
+    coat = coat_weight * facets(g, coat_roughness) * exact_dielectric(g.o_h, coat_ior)
+    material = coat + (1 - coat_weight * ggx_albedo(viewer, coat_roughness**2, coat_f0)) * material
+    cover = fuzz_weight * fuzz_color * fuzz(g, fuzz_roughness)
+    return cover + (1 - fuzz_weight * fuzz_albedo(viewer, fuzz_roughness)) * material
+
+
+rough, ior = decades(0.032, 1), st.floats(1.05, 3)
+
+MATERIALS: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
+    "principled": (exact_principled, [shares, unit, rough, st.floats(0.05, 1), *[unit] * 6]),
+    "gltf": (exact_gltf, [shares, unit, rough, unit, unit, ior, unit, rough, unit, st.floats(0.1, 1)]),
+    "openpbr": (
+        exact_openpbr,
+        [
+            *[shares, st.one_of(st.just(0.0), shares), unit, shares, st.floats(0.52, 1), rough, ior],
+            *[unit, unit, rough, ior, unit],
+            *[unit, unit, st.floats(0.01, 1)],
+        ],
+    ),
+}
+EXACT |= MATERIALS
