@@ -181,7 +181,7 @@ def test_materials_with_pairs_of_their_own():
 @pytest.mark.slow
 def test_a_model_that_needs_a_graph_gets_a_joint_polish():
     truth = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=0.2)).double()
-    start = Sum(Lambert(), DistributionBased())
+    start = Sum(Lambert(), DistributionBased(), Ward())
     results = [fit(start, measured_from(truth), CosineRMSLoss(), strategy=s, samples=400, max_iterations=30)
                for s in ("staged", "global")]  # fmt: skip
     assert results[1].history[-1].name == "all parameters, all samples"

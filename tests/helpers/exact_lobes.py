@@ -19,6 +19,8 @@ class Geometry:
         length = mpmath.sqrt(sum(x * x for x in half))
         self.half = [x / length for x in half]
         self.wi, self.wo = wi, wo
+        apart = mpmath.sqrt(sum((a - b) ** 2 for a, b in zip(wi, wo, strict=True)))
+        self.theta_d = mpmath.atan2(apart, length)
         self.n_i, self.n_o, self.n_h = wi[2], wo[2], self.half[2]
         self.o_h = sum(a * b for a, b in zip(wo, self.half, strict=True))
         self.delta = mpmath.atan2(mpmath.sqrt(self.half[0] ** 2 + self.half[1] ** 2), self.n_h)
@@ -51,7 +53,7 @@ def exact_ashikhmin_shirley(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
     return specular * lobe * fresnel(g, f0)
 
 
-def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> mpf:
+def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf, fresnel_table: list[mpf]) -> mpf:
     nodes = [((k + mpf(1) / 2) / len(distribution)) ** 2 * mpmath.pi / 2 for k in range(len(distribution))]
     above = next((k for k, node in enumerate(nodes) if node > g.delta), len(nodes))
     if above in (0, len(nodes)):
@@ -60,7 +62,10 @@ def exact_distribution_based(g: Geometry, distribution: list[mpf], f0: mpf) -> m
         low, high = mpmath.sqrt(nodes[above - 1]), mpmath.sqrt(nodes[above])
         share = (mpmath.sqrt(g.delta) - low) / (high - low)
         table = distribution[above - 1] * (1 - share) + distribution[above] * share
-    return table * masking(g) * fresnel(g, f0) / (4 * g.n_i * g.n_o)
+    position = g.theta_d / (mpmath.pi / 2) * (len(fresnel_table) - 1)
+    low = min(int(mpmath.floor(position)), len(fresnel_table) - 2)
+    factor = fresnel_table[low] + (position - low) * (fresnel_table[low + 1] - fresnel_table[low])
+    return table * masking(g) * fresnel(g, f0) * factor / (4 * g.n_i * g.n_o)
 
 
 def exact_blinn_phong(g: Geometry, specular: mpf, n: mpf) -> mpf:
@@ -230,6 +235,7 @@ unit = st.floats(0, 1)
 shares = st.floats(0.02, 1)
 f0s = st.floats(0.02, 1)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
+fresnel_table = st.lists(st.floats(0.1, 100), min_size=16, max_size=16)
 
 
 def decades(lower: float, upper: float) -> st.SearchStrategy[float]:
@@ -242,7 +248,7 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "ward": (exact_ward, [unit, decades(0.001, 0.5)]),
     "cook_torrance": (exact_cook_torrance, [unit, decades(0.001, 1), f0s]),
     "ashikhmin_shirley": (exact_ashikhmin_shirley, [unit, decades(0.001, 50000), f0s]),
-    "distribution_based": (exact_distribution_based, [table, f0s]),
+    "distribution_based": (exact_distribution_based, [table, f0s, fresnel_table]),
     "blinn_phong": (exact_blinn_phong, [unit, decades(0.001, 200_000)]),
     "abc": (exact_abc, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
     "ggx": (exact_ggx, [unit, decades(0.001, 1), f0s]),

@@ -8,6 +8,7 @@ from torchbrdf.fitting.result import FitResult, write_fits_csv
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.fitting.scoring import cross_score, local_minima, score
 from torchbrdf.fitting.strategy import STRATEGIES
+from torchbrdf.fitting.tabulated import TabulatedFit
 from torchbrdf.solvers import Status
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "ImageDriven",
     "SlowFitWarning",
     "Status",
+    "TabulatedFit",
     "cross_score",
     "fit",
     "local_minima",

@@ -11,6 +11,8 @@ from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.quasi_random import quasi_random_starts
 from torchbrdf.fitting.staged import minimizer_of, stages
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome
+from torchbrdf.fitting.tabulated import TabulatedFit
+from torchbrdf.fitting.tabulated_problem import is_tabulated
 from torchbrdf.fitting.task import Task, lbfgs_fit, levenberg_marquardt_fit
 from torchbrdf.lobes.parameter_dict import ParameterDict, take_materials
 from torchbrdf.solvers import Solution
@@ -56,6 +58,8 @@ class GlobalSearch:
 
     def __call__(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
         """Fit."""
+        if is_tabulated(task.model):
+            return TabulatedFit()(task, values, fit_diffuse)
         objective = task.objective
         if not isinstance(objective, GaussNewtonObjective):
             return _by_gradient(task, values, fit_diffuse)

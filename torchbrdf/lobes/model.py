@@ -217,6 +217,9 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         _check_names(values, diffuse.parameter_specs, where)
         return Sum(diffuse(dtype=dtype, **_own_values(diffuse, values, where)))
     keys, names = _diffuse_keys(diffuse), _names(kinds)
+    optional = {name for kind in kinds for name, spec in kind.parameter_specs.items() if spec.optional}
+    absent = optional - set(values)
+    names = [name for name in names if name not in absent]
     _check_names(values, [*keys, *names], where)
     lists = {key: _one_a_lobe(values[key], f"{where}: {key}") for key in names}
     counts = {len(entries) for entries in lists.values()}
@@ -224,6 +227,9 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     if counts != {len(kinds)} or not kinds:
         expected = f"{len(kinds)} values" if JOIN in joined else "one value a lobe for each"
         raise DataError(f"{where}: expected {expected}, found {sorted(counts)} values")
+    for key in absent:
+        specs = [kind.parameter_specs for kind in kinds]
+        lists[key] = [own[key].start if key in own else None for own in specs]
     for key in shared:
         if len({repr(value) for value in lists.get(key, ()) if value is not None}) > 1:
             raise DataError(f"{where}: {key}: expected one value for all lobes, found {shown(lists[key])}")

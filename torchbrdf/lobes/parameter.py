@@ -31,6 +31,7 @@ class BoundedParameter:
         linear: the lobe's value is proportional to it, as to an albedo.
         affine: the lobe's value is a constant plus something proportional to it, as with Schlick's F0.
         log: solvers move it on a logarithmic scale, for a range of many decades.
+        optional: files may lack it, as those of before it was there do; its start stands for it.
 
     Raises:
         UsageError: lower <= start <= upper does not hold, or lower is not above 0 on a logarithmic scale.
@@ -52,6 +53,7 @@ class BoundedParameter:
     linear: bool = False
     affine: bool = False
     log: bool = False
+    optional: bool = False
     name: str = field(default="", init=False)
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -42,6 +42,8 @@ class Candidate:
     def label(self) -> str:
         """What it is, for people; the Lambert term that most models have is not said."""
         own = [LOBES[part] for part in self.model.split(JOIN)]
+        if own[0].is_material:
+            return f"the {model_label(self.model)} material"
         counts: dict[str, int] = {}
         for kind in component_kinds(self.model, self.lobes):
             name = str(LOBES.name_of(kind))

@@ -1,0 +1,124 @@
+"""The strategy for tabulated lobes: all tables at once, by Levenberg-Marquardt."""
+
+import math
+from dataclasses import dataclass, fields
+
+import torch
+
+from torchbrdf.errors import UsageError
+from torchbrdf.fitting.objective import FitObjective
+from torchbrdf.fitting.strategy import STRATEGIES, Outcome
+from torchbrdf.fitting.tabulated_problem import TabulatedProblem, is_tabulated
+from torchbrdf.fitting.tabulated_variables import Falling, decoded, encoded, limits
+from torchbrdf.fitting.task import Task, lbfgs_fit
+from torchbrdf.lobes import DistributionBased
+from torchbrdf.lobes.parameter_dict import ParameterDict
+from torchbrdf.losses import CompressedLoss
+from torchbrdf.solvers import Solution, Status, minimize_projected_newton
+
+SEVERITY = [Status.CONVERGED, *(one for one in Status if one != Status.CONVERGED)]
+
+
+@dataclass(frozen=True, repr=False)
+class TabulatedFit:
+    """Fit the tables of distribution-based lobes: D and F of each lobe, and the diffuse albedo, all at once.
+
+    With F0 held each channel is a problem of its own, of which Levenberg-Marquardt moves the logarithms of all nodes;
+    sums over pairs go by the cells of the tables. Tables that are not where lobes start are taken as the start; others
+    are read off the data, and divided among lobes from the peak to the flank. Under a loss that is none of single
+    values, such as a picture's, L-BFGS goes on from the fit under the compressed loss. "global" is this strategy where
+    a model has tabulated lobes alone.
+
+    Args:
+        smooth: the weight of squared second differences of the tables' logarithms, beside a loss of 1 for a prediction
+            of 0: 1e-6 fills only gaps; 1e-3 makes tables visibly smooth.
+        monotone: D does not rise with theta_h.
+        polish: steps at most under a loss that is none of single values.
+
+    Raises:
+        UsageError: a number below 0.
+
+    Source: M. Ashikhmin and S. Premoze, Distribution-based BRDFs, 2007; M. M. Bagher, J. Snyder, D. Nowrouzezahrai,
+    A Non-Parametric Factor Microfacet Model for Isotropic BRDFs, 2016, doi:10.1145/2907941, who fit such factors too.
+
+    Example:
+        >>> from torchbrdf.fitting import TabulatedFit
+        >>> TabulatedFit(smooth=1e-3, monotone=True)
+        TabulatedFit(smooth=0.001, monotone=True)
+    """
+
+    smooth: float = 1e-6
+    monotone: bool = False
+    polish: int = 60
+
+    def __post_init__(self) -> None:
+        for name in ("smooth", "polish"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise UsageError(f"TabulatedFit: {name}: expected a finite number from 0 on, found {value}")
+
+    def __repr__(self) -> str:
+        """What is not the default: records have it as the strategy's name."""
+        given = [(one.name, getattr(self, one.name)) for one in fields(self) if getattr(self, one.name) != one.default]
+        return f"TabulatedFit({', '.join(f'{name}={value!r}' for name, value in given)})"
+
+    def __call__(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
+        """Fit."""
+        if not is_tabulated(task.model):
+            found = " + ".join(type(part).__name__ for part in task.model.components())
+            raise UsageError(f"tabulated: expected distribution_based lobes beside Lambert's term, found {found}")
+        if not task.objective.loss.is_separable():
+            return self._by_gradient(task, values, fit_diffuse)
+        outcome = Outcome(values)
+        outcome.add(*self._step(task, task.objective, values, fit_diffuse, task.max_iterations, ftol=1e-4))
+        if task.full is not None:
+            outcome.add(*self._step(task, task.full, outcome.values, fit_diffuse, task.max_iterations, ftol=1e-3))
+        outcome.near_optimal = [0] * len(task)
+        return outcome
+
+    def _by_gradient(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
+        """First under the compressed loss."""
+        if task.under is None:
+            raise UsageError("TabulatedFit: expected a task that can be done under other losses, found one that cannot")
+        outcome = self(task.under(CompressedLoss()), values, fit_diffuse)
+        free = task.all_free(fit_diffuse)
+        free = task.parametrization([one for one in free.free if one.spec is not DistributionBased.f0])
+        for objective in (task.objective, task.full):
+            if objective is not None and self.polish:
+                step = lbfgs_fit(objective, outcome.values, free, max_iterations=min(self.polish, task.max_iterations))
+                outcome.add(f"the loss itself, {objective.describe_size()}", *step)
+        return outcome
+
+    def _step(
+        self,
+        task: Task,
+        objective: FitObjective,
+        values: ParameterDict,
+        fit_diffuse: bool,
+        max_iterations: int,
+        ftol: float,
+    ) -> tuple[str, ParameterDict, Solution]:
+        """All tables, on what an objective sees."""
+        problem = TabulatedProblem(
+            task.model, values, objective.problem, objective.loss, fit_diffuse=fit_diffuse, smooth=self.smooth
+        )
+        x, iterations = encoded(problem, values), torch.zeros(len(problem), dtype=torch.int64, device="cpu")
+        lower, upper = limits(problem)
+        seen = Falling(problem) if self.monotone else problem
+        if isinstance(seen, Falling):
+            x, lower, upper = seen.encode(x), *seen.limits(lower, upper)
+        for share in objective.loss.smoothing_widths:
+            problem.width = None if share is None else share * problem.magnitude
+            found = minimize_projected_newton(seen, x, lower, upper, max_iterations=max_iterations, ftol=ftol)
+            x, iterations = found.x, iterations + found.iterations
+        x = seen.decode(x) if isinstance(seen, Falling) else x
+        status = [max(found.status[3 * k : 3 * k + 3], key=SEVERITY.index) for k in range(len(task))]
+        most = iterations.unflatten(0, (-1, 3)).amax(1)
+        return f"all tables, {objective.describe_size()}", decoded(problem, x, values), Solution(
+            x, problem.error(x), status, most
+        )
+
+
+STRATEGIES.register("tabulated")(TabulatedFit())
+STRATEGIES.register("tabulated_monotone")(TabulatedFit(monotone=True))
+STRATEGIES.register("tabulated_smooth")(TabulatedFit(smooth=1e-3, monotone=True))
