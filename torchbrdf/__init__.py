@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torchbrdf.pairs import Pairs
     from torchbrdf.recipe import Recipe, run
     from torchbrdf.render import Environment, Scene
+    from torchbrdf.report.match import match
 
 _HOME = {
     "Pairs": "pairs",
@@ -37,6 +38,7 @@ _HOME = {
     "Environment": "render",
     "Recipe": "recipe",
     "run": "recipe",
+    "match": "report.match",
 }
 __all__ = [
     "Environment",
@@ -53,6 +55,7 @@ __all__ = [
     "fit",
     "load",
     "load_all",
+    "match",
     "model_of",
     "read_fits",
     "run",

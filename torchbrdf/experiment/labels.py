@@ -12,7 +12,11 @@ MODEL_LABELS = {
     "distribution_based": "distribution-based",
     "eon": "EON",
     "ggx": "GGX",
+    "ggx_f82": "GGX F82",
+    "gltf": "glTF",
     "gtr": "GTR",
+    "openpbr": "OpenPBR",
+    "principled": "principled",
     "sgd": "SGD",
     "shifted_gamma": "shifted gamma",
 }

@@ -178,11 +178,7 @@ def diffuse_mode(diffuse: str | None, loss: Loss, model: Lobe | None = None) -> 
     mode = mode if diffuse is None else diffuse
     if mode not in DIFFUSE_MODES:
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {mode!r}")
-    without = [
-        type(part)
-        for part in parts
-        if part.is_material or (part.is_diffuse and not isinstance(part, Lambert))
-    ]
+    without = [type(part) for part in parts if part.is_material or (part.is_diffuse and not isinstance(part, Lambert))]
     if mode == "fit" or not without:
         return mode
     if diffuse is None:

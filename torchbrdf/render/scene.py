@@ -111,6 +111,14 @@ class Scene:
         """Mask of the pixels that show the object, `(size, size)`."""
         return self.coverage > 0
 
+    @property
+    @undisturbed()
+    def view_cosine(self) -> Tensor:
+        """Cosine between the normal and the way to the viewer in each pixel, `(size, size)`, 0 where there is none."""
+        found = torch.zeros(self.size**2, dtype=torch.float32, device="cpu")
+        found[self._pixels.index] = self._pixels.outgoing[2]
+        return found.unflatten(0, (self.size, self.size))
+
     def jobs(self) -> list[Callable[[], Chunk]]:
         """Functions that make the parts of the quadrature: pixels `(p,)`, Pairs `(1, p L)`, weights `(p, L, 3)`.
 

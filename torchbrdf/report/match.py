@@ -1,0 +1,179 @@
+"""`match`: from measured files to materials of a renderer, with a page that shows how near they are."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError
+from torchbrdf.experiment.items import distinct_stems
+from torchbrdf.experiment.matching import Budget, Match, Tried, find_budget, find_matches
+from torchbrdf.experiment.matching.judge import ALSO, DECIDES, Brdf
+from torchbrdf.experiment.matching.search import FAR_ENOUGH, to_json
+from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
+from torchbrdf.export import EXPORTERS, Exported, export
+from torchbrdf.files import destination, writable, write_json
+from torchbrdf.images import DIFFERENCES
+from torchbrdf.measured import Measured, load_all
+from torchbrdf.progress import Progress, quiet
+from torchbrdf.render import Scene, cache_folder
+from torchbrdf.report.match_page import Finished, write_match_page
+
+FITS, LIST, PAGE = "fits", "match.json", "match.html"
+JOD = "jod"
+
+Source = Measured | str | os.PathLike[str]
+
+
+def match(
+    source: Source | Sequence[Source],
+    target: str = "mitsuba",
+    out: str | os.PathLike[str] | None = None,
+    *,
+    budget: str | Budget = "default",
+    scenes: dict[str, Scene] | None = None,
+    progress: Progress = quiet,
+    bad: list[TorchbrdfError] | None = None,
+) -> list[Finished]:
+    """Find the simplest model that looks like each material, and write it for a renderer.
+
+    Candidates that the target can show are fitted under the perceptual metric and to pictures, and judged in three
+    scenes that no fit saw. The simplest whose pictures cannot be told from the measurement's is the match; where there
+    is none, the simplest that is as good as the best.
+
+    Args:
+        source: Measured materials, or paths of files or folders; or several of those.
+        target: For what: a registered exporter, such as "mitsuba" or "gltf".
+        out: A folder for the materials, `match.html` and `match.json`; fits are kept in `fits/` there and not made
+            again. None writes nothing.
+        budget: "quick", "default", "thorough", or so many seconds; or a `Budget`.
+        scenes: That judge, by name; by default those of `torchbrdf.render.unseen_scenes`.
+        progress: Of the fits.
+        bad: Gets what cannot be matched, so that the others are; without it that is raised.
+
+    Returns:
+        A finished match a material; its `sentence` says how near it is.
+
+    Raises:
+        UsageError: There is no such target or budget, or no material.
+        DataError: A file or the folder cannot be used; or, without `bad`, a material cannot be matched.
+
+    Example:
+        >>> import torchbrdf
+        >>> from torchbrdf.measured import load, standins
+        >>> nickel = load(standins()).batch([6])
+        >>> (found,) = torchbrdf.match(nickel, budget="quick")  # doctest: +SKIP
+        >>> print(found.sentence)  # doctest: +SKIP
+        nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 56 % of observers would ...
+    """
+    EXPORTERS[target]  # an unknown one is said at once
+    budget = find_budget(budget) if isinstance(budget, str) else budget
+    folder = None if out is None else writable(Path(out))
+    if folder is not None:
+        for name in (LIST, PAGE):
+            destination(folder / name)
+    groups = _groups(source, bad)
+    fits = None if folder is None else folder / FITS
+    matches = find_matches(
+        groups, target, budget, out=fits, scenes=scenes, cache=cache_folder(), progress=progress, bad=bad
+    )
+    stems = distinct_stems([one.material for one in matches])
+    unwritten: list[TorchbrdfError] = []
+    finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, stems, strict=True)]
+    if bad is not None:
+        bad += unwritten
+    if folder is not None:
+        write_json(folder / LIST, [entry(one) for one in finished])
+        write_match_page(folder / PAGE, finished, target, [str(error) for error in bad or []])
+    if unwritten and bad is None:
+        raise unwritten[0]
+    return finished
+
+
+def entry(one: Finished) -> dict[str, Any]:
+    """What `match.json` has of a material."""
+    means, record = one.means, one.chosen.record
+    return {
+        "material": one.match.material,
+        "model": record.model,
+        "lobes": record.lobes,
+        "parameters": record.parameters,
+        "loss": record.loss,
+        "strategy": record.strategy,
+        "label": one.chosen.candidate.label,
+        "sentence": one.sentence,
+        "cannot_be_told": one.chosen.cannot_be_told,
+        "delta_e76": {"mean": means.mean, "low": means.low, "high": means.high},
+        "told_apart": asdict(means.told),
+        "scenes": {name: own.to_json() for name, own in one.figures.items()},
+        "candidates": [to_json(tried, tried is one.chosen) for tried in one.match.tried],
+        "files": [path.name for path in one.files],
+        "exact": one.exact,
+        "notes": one.notes,
+        "where": one.words,
+        "parts": [asdict(part) for part in one.parts],
+        "angles": [asdict(own) for own in one.angles],
+        "reach": one.match.reach,
+        "seconds": one.match.seconds,
+    }
+
+
+def _groups(source: Source | Sequence[Source], bad: list[TorchbrdfError] | None) -> list[Measured]:
+    several = list(source) if isinstance(source, Sequence) and not isinstance(source, str) else [source]
+    found: list[Measured] = []
+    for one in several:
+        if isinstance(one, Measured):
+            found.append(one)
+            continue
+        wrong: list[DataError] = []
+        found += load_all([one], bad=wrong)
+        if wrong and bad is None:
+            raise wrong[0]
+        if bad is not None:
+            bad += wrong
+    if not found:
+        raise UsageError("match: expected at least one material, found none")
+    return found
+
+
+def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError]) -> Finished:
+    """Write a match for the target, and say where it is bad."""
+    notes = []
+    if one.reach < FAR_ENOUGH:
+        notes.append(f"measured to {one.reach:g} degrees only; beyond, the nearest measured values stand in")
+    chosen, done = _written(one, stem, target, folder, bad)
+    exact = done is None or done.exact
+    shown: Brdf = chosen.record if done is None or done.exact else done.shown
+    figures = one.judge.figures(shown, _differences())
+    if done is not None:
+        notes += done.notes
+    if not exact:
+        notes.append(f"Delta E of the fit itself: {chosen.means}")
+    found, by_angle = parts(one.judge, shown), angles(one.judge, shown)
+    files = [] if done is None else done.files
+    return Finished(one, chosen, shown, figures, files, exact, notes, found, by_angle, in_words(found, by_angle))
+
+
+def _written(
+    one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError]
+) -> tuple[Tried, Exported | None]:
+    """The first of the fits that the target can show, and what was written of it; nothing if it can show none."""
+    refused: TorchbrdfError | None = None
+    for tried in one.ranked if folder is not None else ():
+        try:
+            return tried, export(tried.record, target, str(folder), name=stem)
+        except TorchbrdfError as error:
+            refused = refused or error
+    if refused is not None:
+        bad.append(DataError(f"{one.material}: not written for {target}: {refused}"))
+    return one.chosen, None
+
+
+def _differences() -> list[str]:
+    """Those that are shown: also just-objectionable differences, where the library that foretells them is installed."""
+    try:
+        DIFFERENCES[JOD]()
+    except UsageError:
+        return [DECIDES, ALSO]
+    return [DECIDES, ALSO, JOD]
