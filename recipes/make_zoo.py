@@ -1,0 +1,102 @@
+"""How the zoo was made: matches of measured materials by models that renderers have."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from torchbrdf.errors import TorchbrdfError
+from torchbrdf.experiment import STANDINS, load_materials
+from torchbrdf.experiment.matching.candidates import Budget, Candidate
+from torchbrdf.experiment.matching.search import Match, find_matches
+from torchbrdf.lobes import FitRecord, write_fits
+from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+
+MODELS = (Candidate("ggx", 2), Candidate("gltf"), Candidate("openpbr"))
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where materials are from, what that is called, and what their names begin with."""
+
+    setting: str
+    said: str
+    prefix: str = ""
+
+
+ORIGINS = (
+    Origin("tables", "a table in MERL's format"),
+    Origin("rgl", "a measurement of RGL's"),
+    Origin("standins", "a stand-in that comes with torchbrdf", "standin-"),
+)
+
+
+@RECIPES.register("make_zoo")
+@dataclass(frozen=True)
+class MakeZoo(Recipe):
+    """Match measured materials by two GGX lobes, glTF's material and OpenPBR's, and write them as one fits.json."""
+
+    name = "make_zoo"
+
+    tables: str = field(default="", metadata={"help": "a folder of MERL-format tables; none: left out"})
+    rgl: str = field(default="", metadata={"help": "a folder of RGL's measurements; none: left out"})
+    standins: str = field(default=STANDINS, metadata={"help": "the bundled stand-ins; none: left out"})
+    said: str = field(default="", metadata={"help": "more about where the tables are from"})
+    size: int = field(default=40, metadata={"help": "pixels of a side of pictures that fits see", "low": 16, "high": 256})
+    views: int = field(default=2, metadata={"help": "how many pictures fits see", "low": 1, "high": 3})
+    digits: int = field(default=4, metadata={"help": "significant digits kept", "low": 2, "high": 17})
+
+    def steps(self, folder: RunFolder) -> Path:
+        """Match every material by every model, and keep of each model the nearest fit."""
+        models = MODELS[:2] if self.quick else MODELS
+        size, views = (24, 1) if self.quick else (self.size, self.views)
+        budget = Budget("zoo", models, None if self.quick else "compressed", size=size, views=views, all_of_them=True)
+        records: list[FitRecord] = []
+        for origin in ORIGINS:
+            place = getattr(self, origin.setting)
+            if not place or place == "none":
+                continue
+            groups, _ = load_materials(place, folder, self.quick)
+            bad: list[TorchbrdfError] = []
+            found = find_matches(
+                groups, "mitsuba", budget, out=folder.path / origin.setting, cache=folder.path / "cache",
+                progress=folder.progress(origin.setting), bad=bad,
+            )  # fmt: skip
+            for error in bad:
+                folder.warn(str(error))
+            for match in found:
+                records += self._kept(match, origin)
+        path = folder.path / "zoo.json"
+        write_fits(path, records)
+        return path
+
+    def _kept(self, match: Match, origin: Origin) -> list[FitRecord]:
+        """Of each model the nearest fit, with its figures, and without what only a fit has."""
+        nearest: dict[Candidate, Any] = {}
+        for one in match.tried:
+            if one.candidate not in nearest or one.means.mean < nearest[one.candidate].means.mean:
+                nearest[one.candidate] = one
+        of = origin.said + (f", {self.said}" if self.said and origin.setting == "tables" else "")
+        return [
+            replace(
+                FitRecord(
+                    origin.prefix + match.material,
+                    one.record.model,
+                    one.record.lobes,
+                    self._rounded(one.record.parameters),
+                    loss=one.record.loss,
+                    status=one.record.status,
+                ),
+                pictures={scene: self._rounded(dict(own.differences)) for scene, own in one.figures.items()},
+                extra={"of": of},
+            )
+            for one in nearest.values()
+        ]
+
+    def _rounded(self, value: Any) -> Any:
+        if isinstance(value, float):
+            return float(f"{value:.{self.digits}g}")
+        if isinstance(value, list):
+            return [self._rounded(item) for item in value]
+        if isinstance(value, dict):
+            return {key: self._rounded(item) for key, item in value.items()}
+        return value
