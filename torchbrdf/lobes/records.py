@@ -1,6 +1,7 @@
 """Fitted models as files: a list of records, each a material, a model and its parameters (`fits.json`)."""
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -12,7 +13,7 @@ from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.files import write_json
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.model import JOIN, SHARE, from_parameters, model_name
-from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
+from torchbrdf.lobes.parameter_dict import get_parameters, outside_bounds, with_parameters
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
@@ -33,6 +34,15 @@ TEXTS = {
 }  # fmt: skip
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
+
+
+class OutsideBoundsWarning(UserWarning):
+    """A file of fits has parameters that no fit would end at; they are kept as they are.
+
+    Example:
+        >>> import warnings
+        >>> warnings.simplefilter("ignore", OutsideBoundsWarning)
+    """
 
 
 @dataclass
@@ -220,7 +230,7 @@ def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:
 
 
 def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitRecord]:
-    """Read and check a `fits.json`.
+    """Read and check a `fits.json`. Parameters outside their bounds are kept, with an `OutsideBoundsWarning`.
 
     Args:
         path: The file.
@@ -259,7 +269,24 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
             raise errors[k]
     if bad is not None:
         bad += [errors[k] for k in sorted(errors)]
+    _warn_outside(path, list(found.values()))
     return list(found.values())
+
+
+def _warn_outside(path: Path | str, records: Sequence[FitRecord]) -> None:
+    """One line for a file with parameters outside their bounds."""
+    models = [from_parameters(record.model, record.parameters, torch.float64) for record in records]
+    outside = [
+        (record.material, said) for record, model in zip(records, models, strict=True) for said in outside_bounds(model)
+    ]
+    if outside:
+        material, said = outside[0]
+        rest = f" (the first of {len(outside)})" if len(outside) > 1 else ""
+        warnings.warn(
+            f"{path}: parameters outside their bounds are kept as they are: {said}, of {material}{rest}",
+            OutsideBoundsWarning,
+            stacklevel=3,
+        )
 
 
 def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
