@@ -67,7 +67,7 @@ def gltf(
         >>> angle, red, white = torch.full((1,), 0.2), torch.tensor([0.8, 0.1, 0.1]), torch.ones(3)
         >>> pairs, (none, half, n) = Pairs.from_half_diff(angle, angle, angle), torch.tensor([[0.0], [0.5], [1.5]])
         >>> gltf(pairs, red, none, half, half, white, n, none, half, 0 * red, half)
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2604, 0.0421, 0.0421]])
     """
     rest = (clearcoat, clearcoat_roughness, sheen_color, sheen_roughness)
     return value_of(GLTF)(pairs, base_color, metallic, roughness, specular, specular_color, ior, *rest)

@@ -77,7 +77,7 @@ def openpbr(
         >>> from torchbrdf.lobes import OpenPBR
         >>> angle = torch.full((1,), 0.2)
         >>> OpenPBR(base_color=[0.8, 0.1, 0.1])(Pairs.from_half_diff(angle, angle, angle)).detach()
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2493, 0.0340, 0.0340]])
     """
     base = (base_color, base_diffuse_roughness, base_metalness)
     specular = (specular_weight, specular_color, specular_roughness, specular_ior)
