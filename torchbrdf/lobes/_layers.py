@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes._sloped import Sloped
+from torchbrdf.lobes._sloped import Value
 from torchbrdf.pairs import Pairs
 
 Table = tuple[tuple[float, float, float], ...]
@@ -27,7 +27,7 @@ def higher_cosine(pairs: Pairs) -> Tensor:
     return pairs.cached(higher_cosine, lambda: torch.maximum(pairs.cos_i, pairs.cos_o).clamp(0, 1))
 
 
-def ggx_albedo(cosine: Tensor, alpha: Sloped, f0: Sloped) -> Sloped:
+def ggx_albedo(cosine: Tensor, alpha: Value, f0: Value) -> Value:
     """Share of light that a GGX lobe with Schlick's Fresnel reflects; heights correlated.
 
     Source: the rational fit to a Monte Carlo integration in MaterialX 1.39, https://materialx.org.
@@ -40,7 +40,7 @@ def ggx_albedo(cosine: Tensor, alpha: Sloped, f0: Sloped) -> Sloped:
     return normal * f0 + _ratio(cosine, alpha, above, below)
 
 
-def charlie_albedo(cosine: Tensor, alpha: Sloped) -> Sloped:
+def charlie_albedo(cosine: Tensor, alpha: Value) -> Value:
     """Share of light that the sheen `charlie` reflects.
 
     Source: the rational fit to a Monte Carlo integration in MaterialX 1.39, https://materialx.org.
@@ -50,18 +50,18 @@ def charlie_albedo(cosine: Tensor, alpha: Sloped) -> Sloped:
     return _ratio(cosine, alpha, above, below)
 
 
-def _ratio(x: Tensor, y: Sloped, above: Table, below: Table) -> Sloped:
+def _ratio(x: Tensor, y: Value, above: Table, below: Table) -> Value:
     """Of two polynomials, within 0 and 1; a table has a row for each power of y, in which each is by powers of x."""
     return (_polynomial(x, y, above) / _polynomial(x, y, below)).clamp(0, 1)
 
 
-def _polynomial(x: Tensor, y: Sloped, table: Table) -> Sloped:
+def _polynomial(x: Tensor, y: Value, table: Table) -> Value:
     # The powers of y first, which are one number a material.
     first, second, third = (y * (y * high + middle) + low for low, middle, high in zip(*table, strict=True))
     return first + x * (second + x * third)
 
 
-def fuzz_albedo(cosine: Tensor, y: Sloped) -> Sloped:
+def fuzz_albedo(cosine: Tensor, y: Value) -> Value:
     """Share of light that `fuzz` of the roughness y reflects, by the fit of MaterialX 1.39, https://materialx.org."""
     width = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
     middle = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)
@@ -71,7 +71,7 @@ def fuzz_albedo(cosine: Tensor, y: Sloped) -> Sloped:
     return (away.clamp(0, 150) * -0.5).exp() / (width * math.sqrt(2 * math.pi)) + least
 
 
-def fuzz(pairs: Pairs, y: Sloped) -> Sloped:
+def fuzz(pairs: Pairs, y: Value) -> Value:
     """Light that fibres scatter: a cosine that is transformed linearly, times `fuzz_albedo`, the viewer the lower one.
 
     Source: T. Zeltner, B. Burley and M. J.-Y. Chiang, Practical Multiple-Scattering Sheen Using Linearly Transformed

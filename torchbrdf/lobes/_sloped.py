@@ -5,13 +5,13 @@ only by what it knows, in a closed form where that is short.
 """
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes.abc_distribution import dielectric_and_derivative
+from torchbrdf.lobes.abc_distribution import dielectric, dielectric_derivative
 from torchbrdf.lobes.base import Lobe
 from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.separable import Slopes
@@ -76,22 +76,14 @@ class Sloped:
         value = self.value.exp()
         return self.chain(value, lambda: value)
 
-    def sqrt(self) -> "Sloped":
-        """Its square root, with slope 0 at 0."""
-        value = safe_sqrt(self.value)
-        return self.chain(value, lambda: torch.where(value > 0, 0.5 / value, 0))
-
     def clamp(self, lower: float, upper: float) -> "Sloped":
         """It within bounds."""
         inside = (self.value > lower) & (self.value < upper)
         return self.chain(self.value.clamp(lower, upper), lambda: inside.to(self.value.dtype))
 
-    def larger(self, other: "Sloped") -> "Sloped":
-        """The larger of both."""
-        first = self.value > other.value
-        own = {name: torch.where(first, slope, 0) for name, slope in self.slopes.items()}
-        others = {name: torch.where(first, 0, slope) for name, slope in other.slopes.items()}
-        return Sloped(torch.where(first, self.value, other.value), _total(own, others))
+
+Value = TypeVar("Value", Tensor, Sloped)
+"""Formulas are the same of tensors, which torch may differentiate and compile, and of numbers with slopes."""
 
 
 def _total(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -99,18 +91,44 @@ def _total(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Ten
     return {**first, **second, **both}
 
 
-def facets(pairs: Pairs, alpha: Sloped, visibility: Visibility) -> Sloped:
+def chain(x: Value, value: Tensor, derivative: Callable[[], Tensor]) -> Value:
+    """A function of x that has this value, and this derivative by x."""
+    return x.chain(value, derivative) if isinstance(x, Sloped) else value
+
+
+def number(x: "Tensor | Sloped") -> Tensor:
+    """It without derivatives."""
+    return x.value if isinstance(x, Sloped) else x
+
+
+def root(x: Value) -> Value:
+    """Square root, with slope 0 at 0."""
+    value = safe_sqrt(number(x))
+    return chain(x, value, lambda: torch.where(value > 0, 0.5 / value, 0))
+
+
+def larger(x: Value, y: Value) -> Value:
+    """The larger of both."""
+    if not isinstance(x, Sloped) or not isinstance(y, Sloped):
+        return torch.maximum(x, y)
+    first = x.value > y.value
+    own = {name: torch.where(first, slope, 0) for name, slope in x.slopes.items()}
+    others = {name: torch.where(first, 0, slope) for name, slope in y.slopes.items()}
+    return Sloped(torch.where(first, x.value, y.value), _total(own, others))
+
+
+def facets(pairs: Pairs, alpha: Value, visibility: Visibility) -> Value:
     """D G / (4 cos_i cos_o) of GGX; d/da = itself (2 / a - 4 a / (a^2 + tan2_h) + d log G / da)."""
-    a, tan2 = alpha.value, tangent(pairs)
+    a, tan2 = number(alpha), tangent(pairs)
     seen, slope = visibility(pairs, a)
     value = ggx_distribution(a, tan2) * seen
-    return alpha.chain(value, lambda: value * (slope + 2 / a - 4 * a / (a.square() + tan2)))
+    return chain(alpha, value, lambda: value * (slope + 2 / a - 4 * a / (a.square() + tan2)))
 
 
-def fresnel_of(pairs: Pairs, ior: Sloped) -> Sloped:
+def fresnel_of(pairs: Pairs, ior: Value) -> Value:
     """`dielectric` on pairs."""
-    value, slope = dielectric_and_derivative(ior.value, pairs.cos_d)
-    return ior.chain(value, lambda: slope)
+    index = number(ior)
+    return chain(ior, dielectric(index, pairs.cos_d), lambda: dielectric_derivative(index, pairs.cos_d))
 
 
 class LayeredMaterial(Lobe):
@@ -119,14 +137,14 @@ class LayeredMaterial(Lobe):
     is_material: ClassVar[bool] = True
 
     @classmethod
-    def layers(cls, pairs: Pairs, *scalars: Sloped) -> list[Sloped]:
-        """The terms, of the scalars of `scalars_of_terms`, in that order."""
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
+        """The terms, of the scalars of `scalars_of_terms`, in that order: tensors of tensors, else `Sloped`."""
         raise NotImplementedError
 
     @classmethod
     def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """Those of `layers`."""
-        return [one.value for one in cls.layers(pairs, *map(Sloped, scalars))]
+        return cls.layers(pairs, *scalars)
 
     @classmethod
     def terms_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> tuple[list[Tensor], Slopes]:
@@ -134,4 +152,5 @@ class LayeredMaterial(Lobe):
         names = [spec.name for spec in cls.term_scalars()]
         own = [Sloped(value, {name: torch.ones_like(value)}) for name, value in zip(names, scalars, strict=True)]
         found = cls.layers(pairs, *own)
-        return [one.value for one in found], [[one.slopes.get(name) for one in found] for name in names]
+        slopes = [getattr(one, "slopes", {}) for one in found]
+        return [number(one) for one in found], [[own.get(name) for own in slopes] for name in names]

@@ -1,13 +1,13 @@
 """The material of glTF 2.0: metallic-roughness with specular, index of refraction, clear coat and sheen."""
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._layers import charlie_albedo, higher_cosine, lower_cosine
-from torchbrdf.lobes._sloped import LayeredMaterial, Sloped, facets
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, chain, facets, larger, number
 from torchbrdf.lobes._smith import ggx_visibility_and_log_derivative
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.charlie import Charlie
@@ -67,7 +67,7 @@ def gltf(
         >>> angle, red, white = torch.full((1,), 0.2), torch.tensor([0.8, 0.1, 0.1]), torch.ones(3)
         >>> pairs, (none, half, n) = Pairs.from_half_diff(angle, angle, angle), torch.tensor([[0.0], [0.5], [1.5]])
         >>> gltf(pairs, red, none, half, half, white, n, none, half, 0 * red, half)
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2604, 0.0421, 0.0421]])
     """
     rest = (clearcoat, clearcoat_roughness, sheen_color, sheen_roughness)
     return value_of(GLTF)(pairs, base_color, metallic, roughness, specular, specular_color, ior, *rest)
@@ -116,20 +116,20 @@ class GLTF(LayeredMaterial):
     scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
 
     @classmethod
-    def layers(cls, pairs: Pairs, *scalars: Sloped) -> list[Sloped]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Coat; sheen; the two of diffuse and the two of specular reflection, each by 1 - E and by E."""
         roughness, clearcoat, coat_roughness, sheen_roughness = scalars
         viewer, fifth = lower_cosine(pairs), schlick_weight(pairs)
         blend = clearcoat * schlick(viewer.new_tensor(0.04), viewer)
         below, alpha = 1 - blend, sheen_roughness**2
-        sheen, slope = Charlie.value_and_jacobian(pairs, alpha.value)
+        sheen, slope = Charlie.value_and_jacobian(pairs, number(alpha))
         scattered = _scattered(pairs, alpha)
         main = facets(pairs, roughness**2, ggx_visibility_and_log_derivative)
         coat = facets(pairs, coat_roughness**2, ggx_visibility_and_log_derivative)
-        lambert = Sloped(torch.full_like(fifth, 1 / math.pi))
+        lambert = torch.full_like(fifth, 1 / math.pi)
         base = [lambert, lambert * (1 - fifth), main * (1 - fifth), main * fifth]
         left, taken = below * (1 - scattered), below * scattered
-        over = [blend * coat, below * alpha.chain(sheen, lambda: slope)]
+        over = [blend * coat, below * chain(alpha, sheen, lambda: slope)]
         return [*over, *(left * one for one in base), *(taken * one for one in base)]
 
     @classmethod
@@ -149,6 +149,6 @@ class GLTF(LayeredMaterial):
         return columns(torch.ones_like(color), sheen, *base, *(left * one for one in base))
 
 
-def _scattered(pairs: Pairs, alpha: Sloped) -> Sloped:
+def _scattered(pairs: Pairs, alpha: Value) -> Value:
     """Share of light that the sheen takes, of the direction from which it takes more."""
-    return charlie_albedo(lower_cosine(pairs), alpha).larger(charlie_albedo(higher_cosine(pairs), alpha))
+    return larger(charlie_albedo(lower_cosine(pairs), alpha), charlie_albedo(higher_cosine(pairs), alpha))

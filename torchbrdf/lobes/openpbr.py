@@ -1,13 +1,13 @@
 """OpenPBR's opaque surface: diffuse and metal base, specular, coat and fuzz."""
 
 from functools import partial
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._layers import fuzz, fuzz_albedo, ggx_albedo, lower_cosine
-from torchbrdf.lobes._sloped import LayeredMaterial, Sloped, facets, fresnel_of
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, facets, fresnel_of, larger, root
 from torchbrdf.lobes._smith import ggx_visibility_and_log_derivative
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.eon import EON
@@ -16,8 +16,6 @@ from torchbrdf.lobes.fresnel import f82_colours, f82_weight, schlick_weight
 from torchbrdf.lobes.parameter import BoundedParameter, share
 from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
-
-Value = TypeVar("Value", Tensor, Sloped)
 
 
 @half_in_float32
@@ -79,7 +77,7 @@ def openpbr(
         >>> from torchbrdf.lobes import OpenPBR
         >>> angle = torch.full((1,), 0.2)
         >>> OpenPBR(base_color=[0.8, 0.1, 0.1])(Pairs.from_half_diff(angle, angle, angle)).detach()
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2493, 0.0340, 0.0340]])
     """
     base = (base_color, base_diffuse_roughness, base_metalness)
     specular = (specular_weight, specular_color, specular_roughness, specular_ior)
@@ -140,7 +138,7 @@ class OpenPBR(LayeredMaterial):
     )
 
     @classmethod
-    def layers(cls, pairs: Pairs, *scalars: Sloped) -> list[Sloped]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Fuzz; coat; a dielectric's specular reflection; EON's two terms; the three of F82."""
         rough, weight, roughness, ior, coat, coat_roughness, coat_ior, fuzz_weight, fuzz_roughness = scalars
         viewer, smith = lower_cosine(pairs), ggx_visibility_and_log_derivative
@@ -181,26 +179,26 @@ def _f0(ior: Value) -> Value:
     return ((ior - 1) / (ior + 1)) ** 2
 
 
-def _body(pairs: Pairs, roughness: Sloped) -> list[Sloped]:
+def _body(pairs: Pairs, roughness: Value) -> list[Value]:
     """The terms of EON."""
-    if not roughness.slopes:
-        return [Sloped(term) for term in EON.terms(pairs, roughness.value)]
+    if isinstance(roughness, Tensor):
+        return EON.terms(pairs, roughness)
     terms, (slopes,) = EON.terms_and_jacobian(pairs, roughness.value)
     return [roughness.chain(term, partial(torch.as_tensor, slope)) for term, slope in zip(terms, slopes, strict=True)]
 
 
-def _below_coat(roughness: Sloped, coat: Sloped, coat_roughness: Sloped) -> Sloped:
+def _below_coat(roughness: Value, coat: Value, coat_roughness: Value) -> Value:
     """alpha of the base, which looks rougher through a rough coat."""
     rougher = (roughness**4 + 2 * coat_roughness**4).clamp(0, 1) ** 0.25
     return (roughness + coat * (rougher - roughness)) ** 2
 
 
-def _eta(weight: Sloped, ior: Sloped, coat: Sloped, coat_ior: Sloped) -> Sloped:
+def _eta(weight: Value, ior: Value, coat: Value, coat_ior: Value) -> Value:
     """Index of refraction of the base, against the coat where that is present, whose F0 is scaled by the weight."""
-    against = (ior / coat_ior).larger(coat_ior / ior)
+    against = larger(ior / coat_ior, coat_ior / ior)
     eta = ior + coat * (against - ior)
-    root = weight.sqrt() * ((eta - 1) / (eta + 1))
-    return (1 + root) / (1 - root)
+    scaled = root(weight) * ((eta - 1) / (eta + 1))
+    return (1 + scaled) / (1 - scaled)
 
 
 def _darkening(**parameters: Tensor) -> Tensor:

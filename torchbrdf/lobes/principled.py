@@ -2,13 +2,13 @@
 
 import math
 from functools import partial
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes._sloped import LayeredMaterial, Sloped, facets, fresnel_of
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, chain, facets, fresnel_of, number, root
 from torchbrdf.lobes._smith import ggx_separable_visibility_and_log_derivative
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
@@ -22,8 +22,6 @@ from torchbrdf.roots import safe_ratio
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
 # The clear coat's shadowing has a width of its own.
 _COAT_SHADOW = 0.25
-
-Value = TypeVar("Value", Tensor, Sloped)
 
 
 @half_in_float32
@@ -91,10 +89,10 @@ def _tint(base: Tensor) -> Tensor:
 
 def _eta(specular: Value) -> Value:
     """The index of refraction."""
-    return 2 / (1 - (0.08 * specular).sqrt()) - 1
+    return 2 / (1 - root(0.08 * specular)) - 1
 
 
-def _diffuse(pairs: Pairs, roughness: Sloped, flatness: Sloped) -> Sloped:
+def _diffuse(pairs: Pairs, roughness: Value, flatness: Value) -> Value:
     """Burley's diffuse reflection and its retro-reflection, blended to Hanrahan and Krueger's.
 
     With s and p the sum and the product of both directions' (1 - cos)^5, and q = roughness cos_d^2, they are, but for
@@ -129,14 +127,14 @@ def _lift(pairs: Pairs) -> Tensor:
     return safe_ratio(1, pairs.cos_i.clamp(0, 1) + pairs.cos_o.clamp(0, 1)) - 0.5
 
 
-def _clearcoat(pairs: Pairs, gloss: Sloped) -> Sloped:
+def _clearcoat(pairs: Pairs, gloss: Value) -> Value:
     """Of the width w the distribution is (1 + tan2_h) / (w^2 + tan2_h) (w^2 - 1) / (pi log(w^2))."""
-    width = 0.1 - 0.099 * gloss.value
+    width = 0.1 - 0.099 * number(gloss)
     square, tan2 = width.square(), tangent(pairs)
     log = square.log()
     value = pairs.cached(_coat, partial(_coat, pairs)) / (square + tan2) * ((square - 1) / log)
-    return gloss.chain(
-        value, lambda: value * (1 / (square - 1) - 1 / (square * log) - 1 / (square + tan2)) * (-0.198 * width)
+    return chain(
+        gloss, value, lambda: value * (1 / (square - 1) - 1 / (square * log) - 1 / (square + tan2)) * (-0.198 * width)
     )
 
 
@@ -184,14 +182,14 @@ class Principled(LayeredMaterial):
     scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "specular", "clearcoat_gloss", "flatness")
 
     @classmethod
-    def layers(cls, pairs: Pairs, *scalars: Sloped) -> list[Sloped]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Diffuse reflection, sheen, Fresnel's specular reflection, Schlick's two terms, clear coat."""
         roughness, specular, gloss, flatness = scalars
         alpha, fifth = (roughness**2).clamp(0.001, math.inf), schlick_weight(pairs)
         main = facets(pairs, alpha, ggx_separable_visibility_and_log_derivative)
         return [
             _diffuse(pairs, roughness, flatness),
-            Sloped(fifth),
+            fifth,
             main * fresnel_of(pairs, _eta(specular)),
             main,
             main * fifth,
