@@ -42,9 +42,9 @@ def he(pairs: Pairs, specular: Tensor, roughness: Tensor, autocorrelation: Tenso
         Values in 1/sr, `(..., N, 3)`, zero below the horizon.
 
     Source: X. He, K. Torrance, F. Sillion and D. Greenberg, A Comprehensive Physical Model for Light Reflection, 1991,
-    doi:10.1145/127719.122738, with x as in S. Westin's program. The published fits of A. Ngan, F. Durand and W. Matusik,
-    Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126, come nearest to what was measured with a
-    wavelength of 0.65, so that their lengths seem to be micrometres.
+    doi:10.1145/127719.122738, with x as in S. Westin's program. The published fits of A. Ngan, F. Durand and W.
+    Matusik, Experimental Analysis of BRDF Models, 2005, doi:10.2312/EGWR/EGSR05/117-126, come nearest to what was
+    measured with a wavelength of 0.65, so that their lengths seem to be micrometres.
 
     Example:
         >>> import torch
