@@ -40,7 +40,7 @@ def test_lobes(name: str, dtype: torch.dtype, where: str) -> None:
     assert found.dtype == dtype and lobe(Pairs.from_directions(wi.float(), wo.float())).dtype == torch.float32
     expected = lobe.float()(Pairs.from_directions(wi.float(), wo.float()))
     torch.testing.assert_close(found, expected.to(dtype), rtol=0, atol=0)
-    assert found.isfinite().all()
+    assert expected.isfinite().all() and (found.isfinite() | (expected > torch.finfo(dtype).max)).all()
 
 
 @halves

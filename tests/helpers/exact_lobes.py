@@ -116,9 +116,14 @@ def exact_gtr_distribution(g: Geometry, a: mpf, gamma: mpf) -> mpf:
     return factor / (square * g.n_h**2 + mpmath.sin(g.delta) ** 2) ** gamma
 
 
+def tangent_of(cosine: mpf) -> mpf:
+    """Of a rounded cosine, which may be above 1."""
+    return mpmath.sqrt(max(mpf(0), 1 - cosine**2)) / cosine
+
+
 def correlated(g: Geometry, slope: Callable[[mpf], mpf]) -> mpf:
     """Smith's G / (4 cos_i cos_o), with Lambda of the tangent of an angle from the normal."""
-    total = sum(slope(mpmath.sqrt(1 - c**2) / c) for c in (g.n_i, g.n_o))
+    total = sum(slope(tangent_of(c)) for c in (g.n_i, g.n_o))
     return 1 / (1 + total) / (4 * g.n_i * g.n_o)
 
 
@@ -254,7 +259,7 @@ def exact_ggx_distribution(g: Geometry, a: mpf) -> mpf:
 
 def separable(g: Geometry, a: mpf) -> mpf:
     """Smith's G / (4 cos_i cos_o) of GGX, with heights uncorrelated."""
-    lit = [1 + ggx_lambda(a)(mpmath.sqrt(1 - c**2) / c) for c in (g.n_i, g.n_o)]
+    lit = [1 + ggx_lambda(a)(tangent_of(c)) for c in (g.n_i, g.n_o)]
     return 1 / (lit[0] * lit[1]) / (4 * g.n_i * g.n_o)
 
 

@@ -69,14 +69,14 @@ def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
     return 0.5 * a.square() * (1 + b.square())
 
 
-def dielectric_and_slope(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor]:
-    """`dielectric`, and its derivative by the index."""
+def dielectric_derivative(ior: Tensor, cos_d: Tensor) -> Tensor:
+    """The derivative of `dielectric` by n."""
     g, a, b = _fresnel_terms(ior, cos_d)
-    # Derivatives by g; that of g by the index is ior / g.
+    # Derivatives by g; that of g by the index is n / g.
     slope_a = 2 * cos_d / (g + cos_d).square()
     slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
     slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
-    return 0.5 * a.square() * (1 + b.square()), slope * (ior / g)
+    return slope * (ior / g)
 
 
 def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -130,14 +130,13 @@ class LowABC(Lobe):
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dB = -shape C (1 - cos_h) / (1 + B (1 - cos_h)), d/dC = -shape log(1 + B (1 - cos_h)), and d/d(ior)."""
         sharpness, exponent, ior = scalars
-        one_minus_cos = one_minus_cos_h(pairs)
+        one_minus_cos, cos_d = one_minus_cos_h(pairs), pairs.cos_d
         facets = _facets(pairs, sharpness, exponent)
-        reflected, slope = dielectric_and_slope(ior, pairs.cos_d)
-        shape = facets * reflected
+        shape = facets * dielectric(ior, cos_d)
         scaled = sharpness * one_minus_cos
         return [
             shape,
             shape * (-exponent * one_minus_cos / (1 + scaled)),
             -shape * torch.log1p(scaled),
-            facets * slope,
+            facets * dielectric_derivative(ior, cos_d),
         ]
