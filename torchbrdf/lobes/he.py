@@ -9,7 +9,7 @@ from torch import Tensor
 from torchbrdf.lobes._he_series import he_series, he_series_and_derivatives, lambert_w
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, log_secant
 from torchbrdf.lobes._smith import beckmann_masked
-from torchbrdf.lobes.abc_distribution import dielectric, dielectric_and_derivative
+from torchbrdf.lobes.abc_distribution import dielectric, dielectric_derivative
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
@@ -140,7 +140,7 @@ class He(Lobe):
         roughness, autocorrelation, ior = scalars
         surface = _surface(pairs, roughness, autocorrelation)
         series, by_g, by_x = he_series_and_derivatives(surface.g, surface.x)
-        reflected, by_ior = dielectric_and_derivative(ior, pairs.cos_d)
+        reflected, by_ior = dielectric(ior, pairs.cos_d), dielectric_derivative(ior, pairs.cos_d)
         scale = surface.height * reflected
         of_sigma = 2 * (series + surface.g * by_g)
         by_slope = series * surface.log_shadowing_slope + of_sigma * surface.log_sigma_slope

@@ -34,9 +34,11 @@ BAGHER = (
 COLOR, NUMBER = (3,), (1,)
 # Albedos, of at least 0 in every set; and what no number of a fit goes beyond, but for Bagher's c of up to 1e109.
 ALBEDOS = ("diffuse", "specular", "A")
-LARGEST, LARGEST_C = 1e9, 1e300
+LARGEST, LARGEST_C = 1e10, 1e300
 # What a number above 0 is at least: widths of lobes are divided by.
 SMALLEST = 1e-12
+# Of the lengths of He's model as Ngan et al. fitted it: with this wavelength their fits come nearest to the tables.
+WAVELENGTH = 0.65
 Numbers = dict[str, Tensor]
 
 
@@ -45,8 +47,8 @@ class _Reading:
     """How one set is read.
 
     model: the `model` of each fit; lobe: a registered one; fields: the shape of each number of a fit; positive: those
-    that must be above 0; parameters: from fields, `(M, k)`, to the lobe's parameters; raw: whether the fits lack
-    MERL's CHANNEL_FACTORS; reflectance: the field that is one, from 0 to 1.
+    that must be above 0; negative: below it; parameters: from fields, `(M, k)`, to the lobe's parameters; raw: whether
+    the fits lack MERL's CHANNEL_FACTORS; reflectance: the field that is one, from 0 to 1.
     """
 
     source: str
@@ -57,6 +59,7 @@ class _Reading:
     parameters: Callable[[Numbers], Numbers]
     raw: bool = False
     reflectance: str = ""
+    negative: tuple[str, ...] = ()
 
 
 def _bagher(fit: Numbers) -> Numbers:
@@ -117,6 +120,32 @@ SETS = {
         raw=True,
         reflectance="fresnelReflectance",
     ),
+    # Only the ratio of its two factors matters.
+    "ngan_lafortune": _Reading(
+        NGAN,
+        "NganLafortune",
+        "lafortune",
+        {"specular": COLOR, "Cxy": NUMBER, "Cz": NUMBER, "sharpness": NUMBER},
+        ("Cz", "sharpness"),
+        lambda fit: {"specular": fit["specular"], "cz": -fit["Cz"] / fit["Cxy"], "exponent": fit["sharpness"]},
+        raw=True,
+        negative=("Cxy",),
+    ),
+    # Where the index, which has three digits, is 1.00, nothing is reflected: that fit is lost.
+    "ngan_he": _Reading(
+        NGAN,
+        "NganHe",
+        "he",
+        {"specular": COLOR, "autocorrelation": NUMBER, "roughness": NUMBER, "eta": NUMBER},
+        ("autocorrelation", "roughness", "eta"),
+        lambda fit: {
+            "specular": fit["specular"],
+            "roughness": fit["roughness"] / WAVELENGTH,
+            "autocorrelation": fit["autocorrelation"] / WAVELENGTH,
+            "ior": fit["eta"].clamp_min(1),
+        },
+        raw=True,
+    ),
     "low_lowmicrofacet_E2": _Reading(
         LOW,
         "LowMicrofacetFit",
@@ -135,8 +164,9 @@ SETS = {
         _bagher,
     ),
 }
-"""The sets whose models are exactly ours. Not among them: Ward-Duer, Lafortune, He and the smooth ABC model, which are
-no lobes here, and Low's Cook-Torrance and Ashikhmin-Shirley, whose Fresnel term has an index of refraction."""
+"""The sets whose models are exactly ours. Not among them: Duer's form of Ward, which `ward_duer` is not, and the smooth
+ABC model, which are no lobes here, and Low's Cook-Torrance and Ashikhmin-Shirley, whose Fresnel term has an index of
+refraction."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +257,8 @@ def _bounds(reading: _Reading, field: str) -> tuple[float, float]:
     """What numbers of a field may be."""
     if field == reading.reflectance:
         return 0.0, 1.0
+    if field in reading.negative:
+        return -LARGEST, -SMALLEST
     least = SMALLEST if field in reading.positive else 0.0 if field in ALBEDOS else -LARGEST
     return least, LARGEST_C if field == "c" else LARGEST
 
