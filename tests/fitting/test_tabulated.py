@@ -27,8 +27,8 @@ def some_pairs(count, seed=0, materials=1):
     pairs = Pairs.from_half_diff(theta_h, theta_d, phi_d)
     low = torch.minimum(pairs.cos_i, pairs.cos_o) > 0.2
     keep = torch.stack([row.nonzero()[:count, 0] for row in low])
-    return Pairs(**{name: getattr(pairs, name).gather(1, keep) for name in ("theta_h", "theta_d", "phi_d", "cos_i",
-                                                                             "cos_o", "cos_h", "cos_d", "tan2_h")})  # fmt: skip
+    names = ("theta_h", "theta_d", "phi_d", "cos_i", "cos_o", "cos_h", "cos_d", "tan2_h")
+    return Pairs(**{name: getattr(pairs, name).gather(1, keep) for name in names})
 
 
 def surface(width=0.2, rise=3.0, bump=0.0):

@@ -45,8 +45,8 @@ class Blocks:
     """Pairs sorted into blocks of one cell each.
 
     block: pairs of one; pairs: `(p, B * block)`, filled up with others of no weight; sample: which of the pairs each
-    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
-    above, of each pair.
+    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h,
+    share_d: of the nodes above, of each pair.
     """
 
     block: int

@@ -27,8 +27,8 @@ def minimize_projected_newton(
 
     As `minimize_levenberg_marquardt`, but a step is no more than nearly the best one within the bounds: variables that
     it carries to a bound are put there, and those that a bound no longer holds released, a few times over, where that
-    solver goes on until none is left. It costs a few solutions of a linear system a step for any P, and no variable moves by more than `longest` at a time,
-    as is good for logarithms.
+    solver goes on until none is left. It costs a few solutions of a linear system a step for any P, and no variable
+    moves by more than `longest` at a time, as is good for logarithms.
 
     Args:
         objective: values, gradients and matrices.
