@@ -63,7 +63,7 @@ def test_what_merl_tables_have_not_is_said(tmp_path: Path) -> None:
     assert measured_up_to(measured) == pytest.approx(60, abs=1e-3)
     notes = export(path, "merl", tmp_path / "out").notes
     assert "negative channels, in " in notes[1] and "of the bins, are 0" in notes[1]
-    assert notes[2] == "measured up to 60 degrees from the normal; beyond, the table has the nearest values there are"
+    assert notes[2] == "measured up to 60 degrees from the normal; beyond, the nearest values there are"
     assert measured_up_to(PAINT) == 90
 
 

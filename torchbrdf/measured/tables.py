@@ -55,7 +55,7 @@ def measured_up_to(brdf: Brdf) -> float:
     Args:
         brdf: A lobe, or one measured material.
     """
-    if not isinstance(brdf, Measured) or brdf.on_merl_bins:
+    if not isinstance(brdf, Measured) or brdf.stand_in:
         return 90.0
     valid = brdf.weight[0, :, 0] > 0
     pairs = brdf.pairs.select([0])
