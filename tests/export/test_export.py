@@ -132,9 +132,10 @@ def test_another_packages_exporter_may_fail(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_measurement_that_ends_before_the_horizon_is_said(tmp_path: Path, merl_file: Path) -> None:
     measured = load(merl_file)
-    assert export(measured, "text", tmp_path).notes == ["exact: as text"]
-    said = "measured up to 60 degrees from the normal; what lies beyond is the nearest that was measured"
-    assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text", said]
+    assert len(export(measured, "pbrt", tmp_path, name="whole").notes) == 1
+    (_, said) = export(measured.within(60), "pbrt", tmp_path, name="part").notes
+    assert said == "measured up to 60 degrees from the normal; beyond, the nearest values there are"
+    assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text"]
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
