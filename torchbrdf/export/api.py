@@ -1,13 +1,15 @@
 """`export`: one call from a fit or a measured file to a material that a renderer reads."""
 
 import copy
+import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
@@ -22,6 +24,8 @@ from torchbrdf.render import Mesh, find_mesh
 ROUNDING = 1e-5
 # Of what is given without one.
 NAMELESS = "material"
+# Degrees from the normal up to which a measurement is expected to reach.
+FAR_ENOUGH = 80.0
 
 
 def export(
@@ -85,7 +89,38 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
             if path.exists() and source.exists() and path.samefile(source):
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
-        return exporter.write(material, folder)
+        done = _written(exporter, material, folder)
+    return replace(done, notes=[*done.notes, *_unmeasured(material)])
+
+
+def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
+    """What an exporter wrote; whatever one of another package raises is an error that names it."""
+    kind = type(exporter)
+    try:
+        done = exporter.write(material, folder)
+    except TorchbrdfError:
+        raise
+    except Exception as error:
+        if kind.__module__.startswith("torchbrdf."):
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise DataError(f"{material.name}: {kind.__name__} of {kind.__module__} failed: {reason}") from error
+    if not isinstance(done, Exported):
+        raise UsageError(f"{kind.__name__} of {kind.__module__}: expected to get an Exported, found {shown(done)}")
+    return done
+
+
+def _unmeasured(material: Material) -> list[str]:
+    """A note on a measurement that does not reach near the horizon."""
+    if not isinstance(material.brdf, Measured):
+        return []
+    valid = material.brdf.weight[..., 0] > 0
+    pairs = material.brdf.pairs
+    lowest = torch.minimum(pairs.cos_i, pairs.cos_o).expand_as(valid)[valid]
+    farthest = math.degrees(math.acos(float(lowest.min().clamp(0, 1)))) if len(lowest) else 0.0
+    if farthest >= FAR_ENOUGH:
+        return []
+    return [f"measured up to {farthest:.0f} degrees from the normal; what lies beyond is the nearest that was measured"]
 
 
 def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | None = None) -> Material:

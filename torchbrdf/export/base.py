@@ -7,6 +7,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
+import numpy as np
+from torch import Tensor
+
 from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
@@ -106,6 +109,18 @@ class Exporter(ABC):
         Raises:
             TorchbrdfError: The program cannot show such a material, in one line that says why.
         """
+
+
+def numbers(value: Tensor) -> list[float]:
+    """The numbers of a parameter, with as many digits as single precision has, which is what renderers have.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.export.base import numbers
+        >>> torch.tensor([0.3]).tolist(), numbers(torch.tensor([0.3]))
+        ([0.30000001192092896], [0.3])
+    """
+    return [float(str(np.float32(number))) for number in value.detach().flatten().tolist()]
 
 
 def needed(package: str, extra: str, purpose: str) -> ModuleType:

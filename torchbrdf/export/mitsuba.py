@@ -4,15 +4,20 @@ W. Jakob et al., Mitsuba 3 renderer, 2022, https://mitsuba-renderer.org.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import torch
+from torch import Tensor
+
 from torchbrdf.export.api import material_of, write
-from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
+from torchbrdf.export.shading import visible
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
+from torchbrdf.names import file_stem
 
 Bsdf = dict[str, Any]
 """A BSDF as `mitsuba.load_dict` takes it."""
@@ -20,23 +25,21 @@ Bsdf = dict[str, Any]
 # Of the format of the file.
 VERSION = "3.0.0"
 TABLE = ".bsdf"
+# What Mitsuba takes for the beginning of a parameter's name, in any value.
+PARAMETER = "$"
+# Of a lobe in a blend, whose colour is as much brighter.
+LEAST_WEIGHT = 0.001
 
 
-def _diffuse(lobe: Lobe) -> Bsdf:
-    return {"type": "diffuse", "reflectance": _rgb(lobe.albedo)}
-
-
-def _rgb(value: Any) -> dict[str, Any]:
-    return {"type": "rgb", "value": [_digits(one) for one in value.tolist()]}
-
-
-def _digits(value: float) -> float:
-    """A number of single precision, without digits that it does not have."""
-    return float(f"{value:.7g}")
-
-
-# The lobes that Mitsuba has in the same form, by their registered names.
-PLUGINS: dict[str, Callable[[Any], Bsdf]] = {"lambert": _diffuse}
+# Parameters of Mitsuba's plugins that have other names here.
+NAMES = {"albedo": "reflectance", "roughness": "alpha", "specular": "specular_reflectance"}
+# The lobes that Mitsuba has in the same form, by their registered names: a plugin with settings, its parameter that
+# scales it, if there is one, and how its other parameters are called.
+PLUGINS: dict[str, tuple[Bsdf, str | None, dict[str, str]]] = {
+    "lambert": ({"type": "diffuse"}, "albedo", NAMES),
+    "roughconductor": ({"type": "roughconductor", "distribution": "ggx"}, "specular", NAMES),
+    "principled": ({"type": "principled"}, None, {}),
+}
 
 
 def mitsuba_dict(brdf: Brdf | FitRecord | str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Bsdf:
@@ -64,20 +67,57 @@ def mitsuba_dict(brdf: Brdf | FitRecord | str | os.PathLike[str], folder: str | 
 
 
 def plugin_of(brdf: Brdf) -> Bsdf | None:
-    """The BSDF of Mitsuba that is the same function; None if there is none."""
+    """The BSDF of Mitsuba that is the same function; None if there is none.
+
+    A sum is a blend, whose weights add up to 1: each lobe is as much brighter as its weight is below 1.
+    """
     if not isinstance(brdf, Lobe):
         return None
-    components = [one for one in brdf.components() if not _is_black(one)]
-    name = LOBES.name_of(type(components[0])) if len(components) == 1 else None
-    if not components:
-        return _diffuse(Lambert(albedo=0.0))
-    return PLUGINS[name](components[0]) if name in PLUGINS else None
+    parts = visible(brdf) or [Lambert(albedo=0.0)]
+    if any(LOBES.name_of(type(part)) not in PLUGINS for part in parts):
+        return None
+    if len(parts) == 1:
+        return _plugin(parts[0], 1.0)
+    scales = [_scale(part) for part in parts]
+    if None in scales:
+        return None
+    return _blend(parts, [max(numbers(getattr(part, str(scale)))) for part, scale in zip(parts, scales, strict=True)])
 
 
-def _is_black(lobe: Lobe) -> bool:
-    """Whether a lobe has the albedo 0, as a diffuse term beside a metal often has."""
-    albedo = type(lobe).albedo_spec()
-    return albedo is not None and not bool(getattr(lobe, albedo.name).any())
+def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) -> Bsdf:
+    """A blend of the first lobe and of the blend of the others; share: the weight of all of them in the whole."""
+    first, *others = lobes
+    if not others:
+        return _plugin(first, 1 / share)
+    weight = min(max(sum(heights[1:]) / sum(heights), LEAST_WEIGHT), 1 - LEAST_WEIGHT)
+    (weight,) = numbers(torch.tensor([weight]))
+    return {
+        "type": "blendbsdf",
+        "weight": weight,
+        "bsdf_0": _plugin(first, 1 / (share * (1 - weight))),
+        "bsdf_1": _blend(others, heights[1:], share * weight),
+    }
+
+
+def _plugin(lobe: Lobe, factor: float) -> Bsdf:
+    """The plugin of a lobe, whose colour is multiplied by a factor."""
+    settings, scale, names = PLUGINS[str(LOBES.name_of(type(lobe)))]
+    made = dict(settings)
+    for own in lobe.parameter_specs:
+        value: Tensor = getattr(lobe, own).detach().double() * (factor if own == scale else 1.0)
+        found = numbers(value)
+        made[names.get(own, own)] = found[0] if len(found) == 1 else _color(found)
+    return made
+
+
+def _color(channels: list[float]) -> Bsdf:
+    """A colour; one above 1 only goes with a plugin that does not check it."""
+    color = {"type": "rgb", "value": channels}
+    return color if max(channels) <= 1 else {"type": "srgb", "color": color, "unbounded": True}
+
+
+def _scale(lobe: Lobe) -> str | None:
+    return PLUGINS[str(LOBES.name_of(type(lobe)))][1]
 
 
 @EXPORTERS.register("mitsuba")
@@ -93,29 +133,40 @@ class Mitsuba(Exporter):
         plugin = plugin_of(material.brdf)
         if plugin is not None:
             write_text(path, to_xml(plugin, material.name))
-            return Exported([path], True, [f"exact: Mitsuba's {plugin['type']}"], material.brdf)
-        table = EXPORTERS["rgl"]().write(material, folder)
+            return Exported([path], True, [f"exact: Mitsuba's {_types(plugin)}"], material.brdf)
+        table = EXPORTERS["rgl"]().write(
+            Material(file_stem(material.name.replace(PARAMETER, "?")), material.brdf), folder
+        )
         write_text(path, to_xml({"type": "measured", "filename": table.files[0].name}, material.name))
-        return Exported([path, *table.files], False, table.notes, table.shown)
+        return Exported([path, *table.files], table.exact, table.notes, table.shown)
+
+
+def _types(plugin: Bsdf) -> str:
+    """The types of a plugin, and of those that it blends."""
+    nested = [_types(plugin[name]) for name in ("bsdf_0", "bsdf_1") if name in plugin]
+    return " + ".join(nested) if nested else str(plugin["type"])
 
 
 def to_xml(plugin: Bsdf, name: str) -> str:
     """A BSDF as the text of an XML file."""
-    root = _element(plugin, {"version": VERSION, "type": plugin["type"], "id": name})
+    root = ElementTree.Element("bsdf", version=VERSION, type=plugin["type"], id=name.replace(PARAMETER, "_"))
+    root.extend(_elements(plugin))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _element(plugin: Bsdf, attributes: dict[str, str]) -> ElementTree.Element:
-    made = ElementTree.Element("bsdf", attributes)
+def _elements(plugin: Bsdf) -> Iterator[ElementTree.Element]:
+    """What stands inside the element of a plugin."""
     for name, value in plugin.items():
+        if name == "type":
+            continue
         if isinstance(value, dict) and value["type"] == "rgb":
-            made.append(ElementTree.Element("rgb", name=name, value=", ".join(map(repr, value["value"]))))
+            yield ElementTree.Element("rgb", name=name, value=", ".join(map(repr, value["value"])))
         elif isinstance(value, dict):
-            made.append(_element(value, {"type": value["type"], "name": name}))
-        elif name != "type":
+            kind = "texture" if value["type"] == "srgb" else "bsdf"
+            made = ElementTree.Element(kind, type=value["type"], name=name)
+            made.extend(_elements(value))
+            yield made
+        else:
             kind = {bool: "boolean", float: "float", str: "string"}[type(value)]
-            made.append(
-                ElementTree.Element(kind, name=name, value=str(value).lower() if kind == "boolean" else str(value))
-            )
-    return made
+            yield ElementTree.Element(kind, name=name, value=str(value).lower() if kind == "boolean" else str(value))

@@ -85,8 +85,8 @@ class RglFile:
         """What f is in units of the stored value: D(h) / (4 sigma cos_o), where the file keeps D apart."""
         if not self.has_factor:
             return 1 / cos_o.clamp_min(LOWEST)
-        visible = _bilinear(self.visible, _theta_to_unit(theta_i), torch.full_like(theta_i, 0.5))
-        return _bilinear(self.normals, x, y) / (4 * visible * cos_o.clamp_min(LOWEST))
+        visible = bilinear(self.visible, theta_to_unit(theta_i), torch.full_like(theta_i, 0.5))
+        return bilinear(self.normals, x, y) / (4 * visible * cos_o.clamp_min(LOWEST))
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """wi and wo `(n, 3)`, f `(n, 3)` and validity `(n,)` where f was measured: every theta_i, every grid node."""
@@ -205,6 +205,10 @@ class Rgl(BrdfFormat):
         table = torch.cat([file.spectrum, finite], -1).flatten(0, 2)
         return file.warp.cells().to(device, dtype), table.to(device, dtype)
 
+    def is_whole(self, material: int) -> bool:
+        """Whether every stored value is a finite one: other readers do not pass over those that are none."""
+        return bool(self._files[material].finite.all())
+
     def details(self, material: int) -> dict[str, object]:
         """How many valid samples have a negative channel, and the share of negative stored values in each channel."""
         _, values, weight = self._samples
@@ -224,10 +228,11 @@ def _coordinates(pairs: Pairs) -> tuple[Tensor, Tensor, Tensor]:
     ix, iy = torch.where(radius > 0, wi[:, 0], 1), wi[:, 1]
     hx, hy = wi[:, 0] + wo[:, 0], wi[:, 1] + wo[:, 1]
     phi = torch.atan2(ix * hy - iy * hx, ix * hx + iy * hy)
-    return theta_i, _theta_to_unit(pairs.theta_h[0]), (phi + math.pi) / (2 * math.pi)
+    return theta_i, theta_to_unit(pairs.theta_h[0]), (phi + math.pi) / (2 * math.pi)
 
 
-def _theta_to_unit(theta: Tensor) -> Tensor:
+def theta_to_unit(theta: Tensor) -> Tensor:
+    """The coordinate of an elevation, of wi or of the half vector, in [0, 1]."""
     return (theta * (2 / math.pi)).sqrt()
 
 
@@ -237,7 +242,7 @@ def _fractional(knots: Tensor, value: Tensor) -> Tensor:
     return low + ((value - knots[low]) / (knots[low + 1] - knots[low])).clamp(0, 1)
 
 
-def _bilinear(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
+def bilinear(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """A grid `(H, W)` at positions in the unit square, of any shape."""
     height, width = grid.shape
     table = grid.to(x).reshape(-1, 1)

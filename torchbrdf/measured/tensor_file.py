@@ -1,4 +1,4 @@
-r"""Reader of `tensor_file` version 1, the container of the RGL database: named arrays behind a table of contents.
+r"""Files of `tensor_file` version 1, the container of the RGL database: named arrays behind a table of contents.
 
     magic  "tensor_file\\0"      12 bytes
     version 1, 0                 2 bytes
@@ -11,17 +11,21 @@ Source: W. Jakob and J. Dupuy, https://github.com/rgl-epfl/brdf-loader. All numb
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.files import replacing
 from torchbrdf.reading import check_unpacked, read_bytes
 
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
+
+# What a file begins with, and what follows the name of a field.
+_START, _PLACE = struct.Struct("<12sBBI"), struct.Struct("<HBQ")
 
 
 class Field(NamedTuple):
@@ -88,3 +92,33 @@ class TensorFile:
         flat = np.frombuffer(self._bytes, field.dtype, math.prod(field.shape), field.offset)
         with np.errstate(invalid="ignore"):  # a signalling nan becomes a quiet one
             return flat.reshape(field.shape).astype(np.float64 if kind == "f" else field.dtype)
+
+
+def write_tensor_file(path: str | Path, fields: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as a tensor file, whole or not at all.
+
+    Args:
+        path: The file, which appears when it is complete.
+        fields: Arrays by name, of up to 8 dimensions, of the integer and floating-point types that `TYPES` lists.
+
+    Raises:
+        DataError: The file cannot be written.
+
+    Example:
+        >>> from torchbrdf.measured.tensor_file import TensorFile, write_tensor_file
+        >>> write_tensor_file("angles.bsdf", {"theta_i": np.array([0.0, 0.5], dtype="f4")})
+        >>> TensorFile(Path("angles.bsdf")).array("theta_i", [2])
+        array([0. , 0.5])
+    """
+    kinds = {name: number for number, name in TYPES.items()}
+    arrays = {name: np.ascontiguousarray(array, array.dtype.newbyteorder("<")) for name, array in fields.items()}
+    offset = _START.size + sum(2 + len(name) + _PLACE.size + 8 * array.ndim for name, array in arrays.items())
+    with replacing(path) as part, part.open("wb") as file:
+        file.write(_START.pack(MAGIC, 1, 0, len(arrays)))
+        for name, array in arrays.items():
+            file.write(struct.pack("<H", len(name)) + name.encode("ascii"))
+            file.write(_PLACE.pack(array.ndim, kinds[array.dtype.str[1:]], offset))
+            file.write(struct.pack(f"<{array.ndim}Q", *array.shape))
+            offset += array.nbytes
+        for array in arrays.values():
+            file.write(array.data)

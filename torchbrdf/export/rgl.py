@@ -1,0 +1,25 @@
+"""Mitsuba 3, and whatever else reads RGL's files: any BRDF as a table, a file of RGL's format."""
+
+from pathlib import Path
+
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.tables import copied, reach
+from torchbrdf.measured import Measured, Rgl, load, write_rgl
+from torchbrdf.measured.rgl_table import ANGLES, SIZE
+
+
+@EXPORTERS.register("rgl")
+class RglTable(Exporter):
+    """A `.bsdf` for Mitsuba's material `measured`; a measurement of RGL's as it is."""
+
+    suffix = ".bsdf"
+
+    def write(self, material: Material, folder: Path) -> Exported:
+        """Write the table."""
+        path, brdf = material.path(folder, self.suffix), material.brdf
+        if isinstance(brdf, Measured) and isinstance(brdf.source, Rgl) and brdf.source.is_whole(brdf.materials[0]):
+            return copied(path, brdf)
+        write_rgl(path, brdf, description=material.name)
+        size = path.stat().st_size / 1e6
+        note = f"a table of RGL's format: {ANGLES} theta_i x {SIZE} x {SIZE} half vectors, RGB, {size:.1f} MB"
+        return Exported([path], False, [note, *reach(brdf)], load(path))

@@ -1,0 +1,1 @@
+vec3 lambert(Pair p, vec3 albedo) { return albedo / PI; }
