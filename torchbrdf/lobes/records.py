@@ -267,10 +267,12 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
         )
         if bad is None:
             raise errors[k]
-    if bad is not None:
+    kept = list(found.values())
+    if bad is None:
+        _warn_outside(path, kept)
+    else:  # whoever takes what is bad one by one sees to parameters, too
         bad += [errors[k] for k in sorted(errors)]
-    _warn_outside(path, list(found.values()))
-    return list(found.values())
+    return kept
 
 
 def _warn_outside(path: Path | str, records: Sequence[FitRecord]) -> None:
