@@ -149,7 +149,7 @@ class OpenPBR(Lobe):
         below_fuzz = (1 - fuzz_weight * fuzz_albedo(viewer, fuzz_roughness)).clamp_min(0)
         coat_alpha = coat_roughness.square()
         below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior))).clamp_min(0)
-        alpha, eta = below_coat(roughness, coat, coat_roughness), base_eta(weight, ior, coat, coat_ior)
+        alpha, eta = _below_coat(roughness, coat, coat_roughness), _eta(weight, ior, coat, coat_ior)
         facets = below * _facets(pairs, alpha)
         diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta))).clamp_min(0)
         return [
@@ -164,7 +164,7 @@ class OpenPBR(Lobe):
     def coefficients(cls, **parameters: Tensor) -> Tensor:
         """Of the terms in their order."""
         color, metalness, weight = parameters["base_color"], parameters["base_metalness"], parameters["specular_weight"]
-        left = darkening(**parameters) * (1 + parameters["coat_weight"] * (parameters["coat_color"] - 1))
+        left = _darkening(**parameters) * (1 + parameters["coat_weight"] * (parameters["coat_color"] - 1))
         body = EON.coefficients(albedo=color, roughness=parameters["base_diffuse_roughness"])
         plastic, metal = (1 - metalness) * left, metalness * weight * left
         return columns(
@@ -184,13 +184,13 @@ def _f0(ior: Tensor) -> Tensor:
     return ((ior - 1) / (ior + 1)).square()
 
 
-def below_coat(roughness: Tensor, coat: Tensor, coat_roughness: Tensor) -> Tensor:
+def _below_coat(roughness: Tensor, coat: Tensor, coat_roughness: Tensor) -> Tensor:
     """alpha of the base, which looks rougher through a rough coat."""
     rougher = (roughness**4 + 2 * coat_roughness**4).clamp_max(1) ** 0.25
     return (roughness + coat * (rougher - roughness)).square()
 
 
-def base_eta(weight: Tensor, ior: Tensor, coat: Tensor, coat_ior: Tensor) -> Tensor:
+def _eta(weight: Tensor, ior: Tensor, coat: Tensor, coat_ior: Tensor) -> Tensor:
     """Index of refraction of the base, against the coat where that is present, whose F0 is scaled by the weight."""
     against = torch.maximum(ior / coat_ior, coat_ior / ior)
     eta = ior + coat * (against - ior)
@@ -198,7 +198,7 @@ def base_eta(weight: Tensor, ior: Tensor, coat: Tensor, coat_ior: Tensor) -> Ten
     return (1 + root) / (1 - root)
 
 
-def darkening(**parameters: Tensor) -> Tensor:
+def _darkening(**parameters: Tensor) -> Tensor:
     """What light that the coat throws back to the base leaves of the base's colour."""
     color, ior = parameters["base_color"], parameters["coat_ior"]
     albedo = color * (1 + parameters["base_metalness"] * (parameters["specular_weight"] - 1))
