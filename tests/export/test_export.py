@@ -77,9 +77,18 @@ def test_a_name_that_is_none_writes_nothing(name: object, tmp_path: Path) -> Non
         (PAINT.batched(3), "^material: expected one material, found a model of 3"),
         (load(standins()), r"^export: expected one material, found 10; export each of them: measured.batch\(\[k\]\)$"),
         (standins(), "standins.json: expected one material, found 10 fits; "),
-        (GGX(roughness=1.5), r"^material: roughness: expected 0.001 to 1, found 1.5$"),
-        (Lambert(albedo=[0.5, -0.1, 0.5]), r"^material: albedo: expected 0 to 1, found -0.1$"),
-        (record(model=Sum(Lambert(), Ward(roughness=0.7))), r"^paint: roughness: expected 0.001 to 0.5, found 0.7$"),
+        (
+            GGX(roughness=1.5),
+            r"^material: expected parameters within their bounds, found roughness 1.5, not 0.001 to 1$",
+        ),
+        (
+            Lambert(albedo=[0.5, -0.1, 0.5]),
+            r"^material: expected parameters within their bounds, found albedo -0.1, not 0 to 1$",
+        ),
+        (
+            record(model=Sum(Lambert(), Ward(roughness=0.7))),
+            r"^paint: expected parameters within their bounds, found roughness 0.7, not 0.001 to 0.5$",
+        ),
         ("nowhere.binary", r"^nowhere.binary: no such file or folder$"),
         ("", "^expected a path of measured BRDFs"),
         (torch.ones(3), r"^export: expected a lobe, a Measured, a FitRecord or a path, found tensor"),
@@ -132,9 +141,10 @@ def test_another_packages_exporter_may_fail(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_measurement_that_ends_before_the_horizon_is_said(tmp_path: Path, merl_file: Path) -> None:
     measured = load(merl_file)
-    assert export(measured, "text", tmp_path).notes == ["exact: as text"]
-    said = "measured up to 60 degrees from the normal; what lies beyond is the nearest that was measured"
-    assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text", said]
+    assert len(export(measured, "pbrt", tmp_path, name="whole").notes) == 1
+    (_, said) = export(measured.within(60), "pbrt", tmp_path, name="part").notes
+    assert said == "measured up to 60 degrees from the normal; what lies beyond is the nearest that was measured"
+    assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text"]
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:

@@ -7,25 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
-from torchbrdf.lobes.parameter import BoundedParameter
-from torchbrdf.lobes.parameter_dict import get_parameters, named_specs
+from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, outside_bounds
 from torchbrdf.measured import Measured, StandIn, load
 from torchbrdf.measured.load import find_files, format_of
 from torchbrdf.names import check_name, clean_name
 from torchbrdf.render import Mesh, find_mesh
 
-# How far beyond its bounds a parameter may be by rounding, as a share of it.
-ROUNDING = 1e-5
 # Of what is given without one.
 NAMELESS = "material"
-# Degrees from the normal up to which a measurement is expected to reach.
-FAR_ENOUGH = 80.0
+# Degrees from the normal up to which a measurement is expected to reach; RGL's go to 78.
+FAR_ENOUGH = 75.0
 
 
 def export(
@@ -90,7 +86,7 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
         done = _written(exporter, material, folder)
-    return replace(done, notes=[*done.notes, *_unmeasured(material)])
+    return done if done.exact else replace(done, notes=[*done.notes, *_unmeasured(material)])
 
 
 def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
@@ -116,8 +112,9 @@ def _unmeasured(material: Material) -> list[str]:
         return []
     valid = material.brdf.weight[..., 0] > 0
     pairs = material.brdf.pairs
-    lowest = torch.minimum(pairs.cos_i, pairs.cos_o).expand_as(valid)[valid]
-    farthest = math.degrees(math.acos(float(lowest.min().clamp(0, 1)))) if len(lowest) else 0.0
+    lowest = [cosine.expand_as(valid)[valid] for cosine in (pairs.cos_i, pairs.cos_o)]
+    # Of the two directions the one that reaches less far: many instruments go to 90 degrees with the other.
+    farthest = min(math.degrees(math.acos(float(one.min().clamp(0, 1)))) if len(one) else 0.0 for one in lowest)
     if farthest >= FAR_ENOUGH:
         return []
     return [f"measured up to {farthest:.0f} degrees from the normal; what lies beyond is the nearest that was measured"]
@@ -185,19 +182,10 @@ def _checked(model: Lobe, where: str) -> Lobe:
     """The model, if it is one material with parameters within their bounds."""
     values = get_parameters(model)
     for name, spec in named_specs(model).items():
-        own = name.rpartition(".")[2]
         if values[name].dim() > len(spec.shape):
             count = values[name].shape[0]
             raise UsageError(f"{where}: expected one material, found a model of {count}; see torchbrdf.lobes.model_of")
-        beyond = _beyond(values[name].double(), spec)
-        if beyond is not None:
-            raise DataError(f"{where}: {own}: expected {spec.lower:g} to {spec.upper:g}, found {beyond:g}")
+    outside = outside_bounds(model)
+    if outside:
+        raise DataError(f"{where}: expected parameters within their bounds, found {outside[0]}")
     return model
-
-
-def _beyond(value: Tensor, spec: BoundedParameter) -> float | None:
-    """The first number that lies outside of the bounds."""
-    room_below, room_above = abs(spec.lower) * ROUNDING, abs(spec.upper) * ROUNDING
-    inside = (value >= spec.lower - room_below) & (value <= spec.upper + room_above)
-    outside = value[~inside]
-    return float(outside[0]) if len(outside) else None

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.export.tables import copied, reach
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, copied
 from torchbrdf.measured import Measured, Merl, load, merl_values, write_merl
 
 
@@ -24,4 +23,4 @@ class MerlTable(Exporter):
         notes = [f"a MERL table: 90 x 90 x 180 bins, {path.stat().st_size / 1e6:.1f} MB"]
         if negative:
             notes.append(f"negative channels, in {negative:.2%} of the bins, are 0: MERL tables have none")
-        return Exported([path], False, [*notes, *reach(brdf)], load(path))
+        return Exported([path], False, notes, load(path))

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.export.tables import copied, reach
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, copied
 from torchbrdf.measured import Measured, Rgl, load, write_rgl
 from torchbrdf.measured.rgl_table import ANGLES, SIZE
 
@@ -22,4 +21,4 @@ class RglTable(Exporter):
         write_rgl(path, brdf, description=material.name)
         size = path.stat().st_size / 1e6
         note = f"a table of RGL's format: {ANGLES} theta_i x {SIZE} x {SIZE} half vectors, RGB, {size:.1f} MB"
-        return Exported([path], False, [note, *reach(brdf)], load(path))
+        return Exported([path], False, [note], load(path))
