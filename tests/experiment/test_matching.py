@@ -88,7 +88,7 @@ def test_another_material_of_the_same_name_is_refused(tmp_path, nickel, scenes):
     find_matches([nickel], "mitsuba", TINY, out=tmp_path, scenes=scenes)
     other = load(standins()).batch([5])
     other.source.names[5] = "nickel"
-    with pytest.raises(DataError, match="nickel: expected the material that .* has, found another"):
+    with pytest.raises(DataError, match=r"nickel: expected the material that .* has, found another"):
         find_matches([other], "mitsuba", TINY, out=tmp_path, scenes=scenes)
 
 

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from helpers.measured_files import merl_centres, synthetic_raw, write_raw_merl
 
 import torchbrdf
 from torchbrdf.cli import main
@@ -137,12 +138,12 @@ def test_one_bad_file_spoils_nothing(small_command, merl_file, tmp_path, capsys)
     assert str(bad) in (tmp_path / "out" / "match.html").read_text(encoding="utf-8")
 
 
-def test_a_file_that_reaches_60_degrees_is_said_to(small_command, merl_file, tmp_path, capsys):
-    head, values = merl_file.read_bytes()[:12], np.fromfile(merl_file, dtype="<f8", offset=12)
-    pairs = load(merl_file).pairs
-    low = (np.minimum(pairs.cos_i, pairs.cos_o)[0] > 0.5).numpy()
-    short = tmp_path / "short.binary"
-    short.write_bytes(head + np.where(np.tile(low, 3), values, -1.0).astype("<f8").tobytes())
+def test_a_file_that_reaches_60_degrees_is_said_to(small_command, tmp_path, capsys):
+    theta_h, theta_d, phi_d = merl_centres()
+    high, across = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    raw = synthetic_raw()
+    raw[:, np.minimum(high - across, high + across) < 0.5] = -1.0
+    short = write_raw_merl(tmp_path / "short.binary", raw)
     assert small_command(short) == 0
     assert "  measured to 60 degrees only; beyond, the nearest measured values stand in" in capsys.readouterr().out
 
