@@ -8,6 +8,7 @@ import torch
 from helpers.directions import hemisphere
 from helpers.glsl import BrdfFile
 
+from torchbrdf.errors import DataError
 from torchbrdf.export import export
 from torchbrdf.export.brdf import glsl
 from torchbrdf.lobes import LOBES, Lobe, Sum
@@ -89,3 +90,19 @@ def test_every_file_of_glsl_is_of_a_lobe() -> None:
 
     files = {path.stem for path in (Path(brdf.__file__).parent / brdf.SHADERS).glob("*.glsl")}
     assert files - {brdf.COMMON} == set(WITH_GLSL)
+
+
+class Unknown(Lobe):
+    """A lobe without GLSL."""
+
+    def forward(self, pairs: Pairs) -> torch.Tensor:
+        return (0.1 * pairs.cos_h)[..., None].expand(*pairs.shape, 3)
+
+
+def test_anything_else_is_a_merl_table(tmp_path: Path) -> None:
+    done = export(Unknown(), "brdf", tmp_path, name="paint")
+    assert not done.exact and [path.name for path in done.files] == ["paint.binary"]
+    again = export(done.files[0], "brdf", tmp_path / "again")
+    assert again.exact and again.files[0].read_bytes() == done.files[0].read_bytes()
+    with pytest.raises(DataError, match="found the file that is exported"):
+        export(done.files[0], "brdf", tmp_path)

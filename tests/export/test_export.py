@@ -119,6 +119,25 @@ def test_a_file_is_not_written_over_itself(tmp_path: Path, merl_file: Path) -> N
     assert merl_file.stat() == before and path.is_symlink()
 
 
+def test_another_packages_exporter_may_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Text, "write", lambda *_: 1 / 0)
+    with pytest.raises(
+        DataError, match=r"^material: Text of .*test_export failed: ZeroDivisionError: division by zero$"
+    ):
+        export(PAINT, "text", tmp_path)
+    monkeypatch.setattr(Text, "write", lambda *_: None)
+    with pytest.raises(UsageError, match=r"^Text of .*test_export: expected to get an Exported, found None$"):
+        export(PAINT, "text", tmp_path)
+
+
+def test_a_measurement_that_ends_before_the_horizon_is_said(tmp_path: Path, merl_file: Path) -> None:
+    measured = load(merl_file)
+    assert len(export(measured, "pbrt", tmp_path, name="whole").notes) == 1
+    (_, said) = export(measured.within(60), "pbrt", tmp_path, name="part").notes
+    assert said == "measured up to 60 degrees from the normal; beyond, the nearest values there are"
+    assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text"]
+
+
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match=r"file: expected a folder or a new name, found a file$"):

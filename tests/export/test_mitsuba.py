@@ -126,6 +126,15 @@ def test_a_blend_within_one_has_plain_colours() -> None:
     ]
 
 
+@MITSUBA
+def test_a_blend_of_very_bright_and_very_dark_is_exact(tmp_path: Path) -> None:
+    lobes = [RoughConductor(specular=value, roughness=0.3) for value in (1.0, 1e-9, 0.5)]
+    model = Sum(Lambert(albedo=1e-12), *lobes).double()
+    wi, wo = (hemisphere(200, seed=seed, dtype=torch.float32).double() for seed in (3, 4))
+    found = values(loaded(export(model, "mitsuba", tmp_path)), wi, wo)
+    torch.testing.assert_close(found, model(Pairs.from_directions(wi, wo)).detach(), rtol=1e-4, atol=1e-7)
+
+
 def merl_table(name: str, folder: Path) -> Measured:
     """A stand-in for a measured material as a MERL table."""
     stand_in = load(standins(), dtype=torch.float64)

@@ -53,12 +53,14 @@ def command(options: Options) -> int:
     from torchbrdf.render import Scene, blob, find_mesh
 
     exporter = find_exporter(options.to, None if options.mesh is None else find_mesh(options.mesh))
-    out = writable(options.out)
     bad: list[TorchbrdfError] = []
     chosen = {key: getattr(options, key) for key in ("material", "model", "loss")}
     materials = find_materials(options.files, bad, **chosen)
     for error in bad:
         _left_out(error)
+    if not materials:
+        return 1
+    out = writable(options.out)
     scene = Scene(blob(), size=128)
     failed = 0
     for material in _with_stems(materials):

@@ -2,13 +2,15 @@
 
 import copy
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.export.tables import reach
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
 from torchbrdf.lobes.parameter import BoundedParameter
@@ -85,7 +87,25 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
             if path.exists() and source.exists() and path.samefile(source):
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
-        return exporter.write(material, folder)
+        done = _written(exporter, material, folder)
+    return done if done.exact else replace(done, notes=[*done.notes, *reach(material.brdf)])
+
+
+def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
+    """What an exporter wrote; whatever one of another package raises is an error that names it."""
+    kind = type(exporter)
+    try:
+        done = exporter.write(material, folder)
+    except TorchbrdfError:
+        raise
+    except Exception as error:
+        if kind.__module__.startswith("torchbrdf."):
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise DataError(f"{material.name}: {kind.__name__} of {kind.__module__} failed: {reason}") from error
+    if not isinstance(done, Exported):
+        raise UsageError(f"{kind.__name__} of {kind.__module__}: expected to get an Exported, found {shown(done)}")
+    return done
 
 
 def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | None = None) -> Material:

@@ -17,7 +17,8 @@ from torchbrdf.lobes import LOBES, Lobe
 from torchbrdf.lobes.parameter import BoundedParameter
 
 SHADERS = "shaders"
-COMMON = "common"
+# No lobe has such a name.
+COMMON = "shared-functions"
 FUNCTION = """\
 vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)
 {{

@@ -59,7 +59,7 @@ def find_materials(
     chosen = [record for record in records if all(want in (None, getattr(record, key)) for key, want in choice.items())]
     found = [*_fits(chosen, bad), *(_tables(measured, material, bad) if model is None and loss is None else ())]
     if not found and not bad and (records or measured):
-        raise _nothing(choice, records, measured)
+        raise _nothing(choice, records)
     return found
 
 
@@ -84,7 +84,7 @@ def _tables(paths: Sequence[Path], material: str | None, bad: list[TorchbrdfErro
                 yield material_of(group.batch([k]), name)
 
 
-def _nothing(choice: dict[str, str | None], records: Sequence[FitRecord], measured: Sequence[Path]) -> UsageError:
+def _nothing(choice: dict[str, str | None], records: Sequence[FitRecord]) -> UsageError:
     """The error for a choice that leaves nothing, with what there is."""
     asked = ", ".join(f"{key} {shown(want)}" for key, want in choice.items() if want is not None)
     there = [
@@ -92,5 +92,5 @@ def _nothing(choice: dict[str, str | None], records: Sequence[FitRecord], measur
         for key, want in choice.items()
         if want is not None and records
     ]
-    files = [f"{len(measured)} measured files, which have no model or loss"] if measured and not records else []
-    return UsageError(f"export: expected {', '.join([*there, *files])}, found {asked}")
+    expected = ", ".join(there) or "a material of the measured files, which have no model or loss"
+    return UsageError(f"export: expected {expected}, found {asked}")

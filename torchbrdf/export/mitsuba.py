@@ -27,6 +27,8 @@ VERSION = "3.0.0"
 TABLE = ".bsdf"
 # What Mitsuba takes for the beginning of a parameter's name, in any value.
 PARAMETER = "$"
+# Of a lobe in a blend, whose colour is as much brighter.
+LEAST_WEIGHT = 0.001
 
 
 # Parameters of Mitsuba's plugins that have other names here.
@@ -87,7 +89,8 @@ def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) 
     first, *others = lobes
     if not others:
         return _plugin(first, 1 / share)
-    weight = numbers(torch.tensor([sum(heights[1:]) / sum(heights)]))[0]
+    weight = min(max(sum(heights[1:]) / sum(heights), LEAST_WEIGHT), 1 - LEAST_WEIGHT)
+    (weight,) = numbers(torch.tensor([weight]))
     return {
         "type": "blendbsdf",
         "weight": weight,

@@ -1,12 +1,11 @@
 """Mitsuba 3, and whatever else reads RGL's files: any BRDF as a table, a file of RGL's format."""
 
-import shutil
 from pathlib import Path
 
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.files import replacing
-from torchbrdf.measured import Measured, Rgl, load
-from torchbrdf.measured.rgl_table import ANGLES, SIZE, write_rgl
+from torchbrdf.export.tables import copied
+from torchbrdf.measured import Measured, Rgl, load, write_rgl
+from torchbrdf.measured.rgl_table import ANGLES, SIZE
 
 
 @EXPORTERS.register("rgl")
@@ -18,11 +17,9 @@ class RglTable(Exporter):
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the table."""
         path, brdf = material.path(folder, self.suffix), material.brdf
-        if isinstance(brdf, Measured) and isinstance(brdf.source, Rgl):
-            with replacing(path) as part:
-                shutil.copyfile(brdf.source.paths[brdf.materials[0]], part)
-            return Exported([path], True, ["exact: the measurement's own file"], brdf)
+        if isinstance(brdf, Measured) and isinstance(brdf.source, Rgl) and brdf.source.is_whole(brdf.materials[0]):
+            return copied(path, brdf)
         write_rgl(path, brdf, description=material.name)
-        megabytes = path.stat().st_size / 1e6
-        note = f"a table: {ANGLES} theta_i x {SIZE} x {SIZE} half vectors, RGB, {megabytes:.1f} MB"
+        size = path.stat().st_size / 1e6
+        note = f"a table of RGL's format: {ANGLES} theta_i x {SIZE} x {SIZE} half vectors, RGB, {size:.1f} MB"
         return Exported([path], False, [note], load(path))

@@ -27,7 +27,7 @@ def to_spectra(rgb: np.ndarray, axis: int = -1) -> np.ndarray:
 
     Example:
         >>> from torchbrdf.export.spectra import to_spectra
-        >>> to_spectra(np.array([[0.5, 0.5, 0.5]])).round(3).max()
-        0.5
+        >>> to_spectra(np.array([0.5, 0.5, 0.5])).round(3)[:3].tolist()
+        [0.5, 0.5, 0.5]
     """
     return np.moveaxis(np.moveaxis(rgb, axis, -1) @ BASIS.astype(rgb.dtype), -1, axis)

@@ -6,6 +6,7 @@ from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
+from torchbrdf.measured.merl_table import merl_values
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
@@ -29,6 +30,7 @@ __all__ = [
     "load",
     "load_all",
     "merl_name",
+    "merl_values",
     "standins",
     "write_merl",
     "write_raw",

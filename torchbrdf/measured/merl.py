@@ -106,7 +106,10 @@ class Merl(BrdfFormat):
         if _are_swapped(np.stack(first)):
             raise DataError(f"{path}: expected little-endian entries, found big-endian ones; swap the bytes of each")
         # The first theta_h, as a rule: the others are read only where it is empty.
-        if not (_valid(first) & _above()[:SLAB]).any() and not (_valid(self._raw(material)) & _above()).any():
+        if (
+            not (_valid(first) & above_horizon()[:SLAB]).any()
+            and not (_valid(self._raw(material)) & above_horizon()).any()
+        ):
             raise DataError(f"{path}: no valid entry: all {COUNT} are negative, not finite or below the horizon")
 
     def raw(self, material: int) -> np.ndarray:
@@ -130,7 +133,7 @@ class Merl(BrdfFormat):
     def _rows(self, material: int, bins: np.ndarray | slice = slice(None), *, dtype: type = np.float64) -> np.ndarray:
         """Values and validity of some bins, or of all, `(n, 4)`, as `grid` describes them."""
         part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
-        valid = _valid(part) & _above()[bins]
+        valid = _valid(part) & above_horizon()[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
         with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
             for channel, scale in enumerate(CHANNEL_SCALES):
@@ -186,11 +189,11 @@ class Merl(BrdfFormat):
         return torch.from_numpy(rows).to(device, dtype)
 
     def _find_nearest_valid(self, material: int) -> np.ndarray:
-        return nearest_valid((_valid(self._raw(material)) & _above()).reshape(BINS))
+        return nearest_valid((_valid(self._raw(material)) & above_horizon()).reshape(BINS))
 
     def details(self, material: int) -> dict[str, object]:
         """The shares of invalid entries, and the name that MERL gave the file, if it is one of theirs."""
-        valid, above = _valid(self._raw(material)), _above()
+        valid, above = _valid(self._raw(material)), above_horizon()
         return {
             "invalid share of all bins": float((~(valid & above)).mean()),
             "invalid share of bins above the horizon": float((~valid[above]).mean()),
@@ -253,7 +256,7 @@ def bin_centers() -> Pairs:
 
     Only bins with both directions above the horizon.
     """
-    place = np.nonzero(_above().reshape(BINS))
+    place = np.nonzero(above_horizon().reshape(BINS))
     return Pairs.from_half_diff(
         *(torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(), place, strict=True))
     )
@@ -262,11 +265,11 @@ def bin_centers() -> Pairs:
 @lru_cache(1)
 @undisturbed()
 def _bin_rows() -> Tensor:
-    return torch.from_numpy(np.flatnonzero(_above()))
+    return torch.from_numpy(np.flatnonzero(above_horizon()))
 
 
 @lru_cache(1)
-def _above() -> np.ndarray:
+def above_horizon() -> np.ndarray:
     """Whether both directions of each bin's centre are above the horizon, `(K,)` of K bins."""
     h, d, phi = np.ix_(*_centres())
     return (np.cos(h) * np.cos(d) > np.sin(h) * np.sin(d) * np.abs(np.cos(phi))).reshape(-1)

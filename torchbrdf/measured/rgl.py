@@ -205,6 +205,10 @@ class Rgl(BrdfFormat):
         table = torch.cat([file.spectrum, finite], -1).flatten(0, 2)
         return file.warp.cells().to(device, dtype), table.to(device, dtype)
 
+    def is_whole(self, material: int) -> bool:
+        """Whether every stored value is a finite one: other readers do not pass over those that are none."""
+        return bool(self._files[material].finite.all())
+
     def details(self, material: int) -> dict[str, object]:
         """How many valid samples have a negative channel, and the share of negative stored values in each channel."""
         _, values, weight = self._samples

@@ -1,0 +1,27 @@
+"""Whatever reads MERL's tables, such as Disney's BRDF Explorer: any BRDF as a table."""
+
+from pathlib import Path
+
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.tables import copied
+from torchbrdf.measured import Measured, Merl, load, merl_values, write_merl
+
+
+@EXPORTERS.register("merl")
+class MerlTable(Exporter):
+    """A `.binary` of 90 x 90 x 180 bins; a measurement of MERL's as it is."""
+
+    suffix = ".binary"
+
+    def write(self, material: Material, folder: Path) -> Exported:
+        """Write the table."""
+        path, brdf = material.path(folder, self.suffix), material.brdf
+        if isinstance(brdf, Measured) and isinstance(brdf.source, Merl):
+            return copied(path, brdf)
+        values = merl_values(brdf)
+        negative = ((values < 0).any(-1).sum() / values.isfinite().all(-1).sum()).item()
+        write_merl(path, values.clamp_(0))
+        notes = [f"a MERL table: 90 x 90 x 180 bins, {path.stat().st_size / 1e6:.1f} MB"]
+        if negative:
+            notes.append(f"negative channels, in {negative:.2%} of the bins, are 0: MERL tables have none")
+        return Exported([path], False, notes, load(path))
