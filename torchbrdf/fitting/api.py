@@ -159,20 +159,22 @@ def diffuse_mode(diffuse: str | None, loss: Loss, model: Lobe | None = None) -> 
     """How a fit under a loss treats the diffuse albedo, one of DIFFUSE_MODES.
 
     Args:
-        diffuse: what is asked for; None: as the loss has it, but "fit" for a model whose diffuse reflection is not
-            Lambert's, or is a part of a whole material.
+        diffuse: what is asked for; None: as the loss has it, or a lobe of the model; "fit" for a model whose
+            diffuse reflection is not Lambert's, or is a part of a whole material.
         loss: of the fit.
         model: of the fit.
 
     Raises:
         UsageError: there is no such mode, or the model has no albedo to measure.
     """
-    mode = loss.default_diffuse if diffuse is None else diffuse
+    parts = model.components() if model is not None else []
+    mode = next((part.default_diffuse for part in parts if part.default_diffuse), loss.default_diffuse)
+    mode = mode if diffuse is None else diffuse
     if mode not in DIFFUSE_MODES:
         raise UsageError(f"diffuse: expected one of {', '.join(DIFFUSE_MODES)}, found {mode!r}")
     without = [
         type(part)
-        for part in (model.components() if model is not None else [])
+        for part in parts
         if part.is_material or (part.is_diffuse and not isinstance(part, Lambert))
     ]
     if mode == "fit" or not without:

@@ -114,8 +114,10 @@ class TabulatedFit:
         x = seen.decode(x) if isinstance(seen, Falling) else x
         status = [max(found.status[3 * k : 3 * k + 3], key=SEVERITY.index) for k in range(len(task))]
         most = iterations.unflatten(0, (-1, 3)).amax(1)
-        return f"all tables, {objective.describe_size()}", decoded(problem, x, values), Solution(
-            x, problem.error(x), status, most
+        return (
+            f"all tables, {objective.describe_size()}",
+            decoded(problem, x, values),
+            Solution(x, problem.error(x), status, most),
         )
 
 

@@ -44,8 +44,8 @@ def is_tabulated(model: Lobe) -> bool:
 class Blocks:
     """Pairs sorted into blocks of one cell each.
 
-    block: pairs of one; pairs: `(p, B * block)`, filled up with others of no weight; sample: which of the pairs each is; real: whether it
-    is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
+    block: pairs of one; pairs: `(p, B * block)`, filled up with others of no weight; sample: which of the pairs each
+    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
     above, of each pair.
     """
 
@@ -262,8 +262,10 @@ class _State:
         self.variables = torch.cat([torch.zeros_like(own[:, :1])] * problem.base + [own + one for one in firsts], 1)
 
     def terms(self, part: slice) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of the pairs of some blocks: penalties, their slopes and curvatures by values, `(r, b, block)`, all weighted,
-        and the derivatives of values by a cell's variables, `(r, b, columns, block)`.
+        """Of the pairs of some blocks: penalties, and their derivatives.
+
+        Penalties, slopes and curvatures by values, `(r, b, block)`, all weighted; the derivatives of values by a cell's
+        variables, `(r, b, columns, block)`.
         """
         problem, rows = self.problem, self.rows
         samples, pairs = problem.blocks.samples(part), problem._pairs(part, rows)

@@ -67,6 +67,8 @@ class Lobe(_Declared):
     """The declared parameters by name, those of base classes first."""
     is_diffuse: ClassVar[bool] = False
     """Whether it is a diffuse term, of which a model has at most one."""
+    default_diffuse: ClassVar[str | None] = None
+    """How `torchbrdf.fit` treats the diffuse albedo of a model with this lobe unless told; None: as the loss has it."""
     is_material: ClassVar[bool] = False
     """Whether it is a whole BRDF by itself, such as a renderer's material: a model of its own, with no other lobe."""
     scalars_of_terms: ClassVar[tuple[str, ...] | None] = None

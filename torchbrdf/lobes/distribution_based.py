@@ -101,6 +101,8 @@ class DistributionBased(Lobe):
         DistributionBased(distribution=<90 x 3>, f0=0.04, fresnel_table=<16 x 3>)
     """
 
+    # Tables tell a broad highlight from diffuse light; an albedo that is held takes light from one they cannot make up.
+    default_diffuse = "fit"
     distribution: BoundedParameter = BoundedParameter(
         start=0.01,
         lower=1e-6,
