@@ -152,3 +152,10 @@ def test_a_folder_that_cannot_be_written(small_command, merl_file, tmp_path, cap
     (tmp_path / "file").write_text("")
     assert small_command(merl_file, "--out", tmp_path / "file") != 0
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_nothing_but_bad_files(small_command, tmp_path, capsys):
+    (tmp_path / "bad.bsdf").write_bytes(b"nothing")
+    assert small_command(tmp_path / "bad.bsdf", tmp_path / "nowhere", "--out", tmp_path / "out") == 1
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 2
