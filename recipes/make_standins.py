@@ -1,26 +1,24 @@
-"""How the bundled stand-ins were made: the paper's "hybrid" form, fitted to MERL-format tables."""
+"""Stand-ins such as the bundled ones: the paper's "hybrid" form, fitted to MERL-format tables."""
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchbrdf.experiment.settings import FIT_SAMPLES
 from torchbrdf.fitting import fit
-from torchbrdf.lobes import DistributionBased, FitRecord, Lambert, Sum, write_fits
-from torchbrdf.lobes.distribution_based import NODES
+from torchbrdf.lobes import FitRecord, make_model, write_fits
 from torchbrdf.losses import CompressedLoss
-from torchbrdf.measured import Measured, load, standins
-from torchbrdf.pairs import Pairs
+from torchbrdf.measured import load, standins
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 
 
 @RECIPES.register("make_standins")
 @dataclass(frozen=True)
 class MakeStandins(Recipe):
-    """Fit a diffuse term and a tabulated microfacet distribution to tables, and write them as one fits.json."""
+    """Fit a diffuse term and a tabulated microfacet distribution to tables, and write them as one fits.json.
+
+    The bundled ones were made with the same form by another solver, with Schlick's Fresnel alone.
+    """
 
     name = "make_standins"
 
@@ -36,16 +34,12 @@ class MakeStandins(Recipe):
         samples = self.samples
         if self.quick:
             measured, samples = measured.batch(range(min(2, len(measured)))), 4000
-        model = Sum(Lambert(albedo=measured.diffuse_45_0()), DistributionBased(distribution=first_guess(measured)))
         result = fit(
-            model,
+            make_model("distribution_based", 1),
             measured,
             CompressedLoss(),
-            strategy="staged",
-            diffuse="fit",
             samples=samples,
             seed=self.seed,
-            max_iterations=100 if self.quick else 400,
             progress=folder.progress("stand-ins"),
         )
         for name, error, status in zip(result.names, result.error.tolist(), result.status, strict=True):
@@ -74,12 +68,3 @@ class MakeStandins(Recipe):
         if isinstance(value, dict):
             return {key: self._rounded(item) for key, item in value.items()}
         return value
-
-
-def first_guess(measured: Measured) -> torch.Tensor:
-    """A distribution read off at theta_d = 20, phi_d = 90 degrees, where both directions stay low, `(M, K, 3)`."""
-    theta_h = ((torch.arange(NODES, dtype=torch.float64, device="cpu") + 0.5) / NODES).square()[None] * (math.pi / 2)
-    theta_d = torch.full_like(theta_h, math.radians(20))
-    pairs = Pairs.from_half_diff(theta_h, theta_d, torch.full_like(theta_h, math.pi / 2))
-    excess = measured.at(pairs) - measured.diffuse_45_0()[:, None] / math.pi
-    return (excess * (10 * pairs.cos_i * pairs.cos_o)[..., None]).clamp_min(1e-3).float()

@@ -58,7 +58,7 @@ def add(commands: Commands) -> None:
         "--strategy",
         default="global",
         help="global (default): the best fit; staged: the paper's way; image_driven: of fits under several metrics the "
-        "nearest",
+        "nearest; tabulated_monotone, tabulated_smooth: of distribution_based models",
     )
     parser.add_argument(
         "--diffuse",

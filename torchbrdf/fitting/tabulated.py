@@ -16,6 +16,8 @@ from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.solvers import Solution, Status, minimize_projected_newton
 
+# A value of a channel, in units of that of a prediction of 0, below which nothing is worth a step.
+AS_GOOD_AS_0 = 1e-7
 SEVERITY = [Status.CONVERGED, *(one for one in Status if one != Status.CONVERGED)]
 
 
@@ -109,7 +111,9 @@ class TabulatedFit:
             x, lower, upper = seen.encode(x), *seen.limits(lower, upper)
         for share in objective.loss.smoothing_widths:
             problem.width = None if share is None else share * problem.magnitude
-            found = minimize_projected_newton(seen, x, lower, upper, max_iterations=max_iterations, ftol=ftol)
+            found = minimize_projected_newton(
+                seen, x, lower, upper, max_iterations=max_iterations, ftol=ftol, fmin=AS_GOOD_AS_0
+            )
             x, iterations = found.x, iterations + found.iterations
         x = seen.decode(x) if isinstance(seen, Falling) else x
         status = [max(found.status[3 * k : 3 * k + 3], key=SEVERITY.index) for k in range(len(task))]

@@ -45,8 +45,8 @@ class Blocks:
     """Pairs sorted into blocks of one cell each.
 
     block: pairs of one; pairs: `(p, B * block)`, filled up with others of no weight; sample: which of the pairs each
-    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h, share_d: of the nodes
-    above, of each pair.
+    is; real: whether it is not there to fill up; low_h, low_d: the nodes below, of each block `(p, B)`; share_h,
+    share_d: of the nodes above, of each pair.
     """
 
     block: int
@@ -105,7 +105,8 @@ class TabulatedProblem:
     """All channels of M materials under a loss of single values, 3 M problems for a solver, material after material.
 
     The variables, P: the diffuse albedo, if it is fitted; then for every lobe the logarithms of D and of the table of
-    F. Values are in units of those of a prediction of 0, and have the roughness of the tables added.
+    F. Values are in units of what a prediction of 0 has, the mean of a material's channels, and have the roughness of
+    the tables added.
 
     Args:
         model: Lambert or none, and tabulated lobes.
@@ -164,7 +165,8 @@ class TabulatedProblem:
             terms = weight, weight * self.loss.penalty(zero - code), weight * code.abs()
             sums += torch.stack([term.sum(1, dtype=torch.float64) for term in terms])
         total = torch.where(sums[0] > 0, sums[0], 1)
-        zero, magnitude = sums[1] / total, sums[2] / total
+        zero = (sums[1] / total).unflatten(0, (-1, 3)).mean(1).repeat_interleave(3)
+        magnitude = sums[2] / total
         self.unit = torch.where(zero > 0, zero, 1)
         self.magnitude = torch.where(magnitude > 0, magnitude, 1)
         self.norm = total * self.unit
@@ -291,8 +293,8 @@ class _State:
         share_h, share_d, geometry = (
             own(x[:, samples]).unflatten(1, (-1, block)) for x in (blocks.share_h, blocks.share_d, problem.geometry)
         )
-        above = pairs.above_horizon.unflatten(-1, (-1, block)) / math.pi
-        above = above.to(geometry.dtype).expand(len(self.rows), -1, -1)
+        above = pairs.above_horizon.unflatten(-1, (-1, block)).to(geometry.dtype) / math.pi
+        above = above.expand(len(self.rows), -1, -1)
         value = above * self.albedo[:, None, None]
         basis = [above] * problem.base
         for k, f0 in enumerate(self.f0):

@@ -6,9 +6,9 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError
 from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
-MIN_DAMPING, MAX_DAMPING = 1e-9, 1e9
-# How often variables that a step carries to a bound are put there and the others solved for again.
-PASSES = 4
+MIN_DAMPING, MAX_DAMPING = 1e-9, 1e6
+# How often variables that a step carries to a bound are put there, and others released, and all solved for again.
+PASSES = 6
 
 
 def minimize_projected_newton(
@@ -26,9 +26,9 @@ def minimize_projected_newton(
     """Minimise M independent functions of P variables within bounds, each near enough to its own parabola.
 
     As `minimize_levenberg_marquardt`, but a step is no more than nearly the best one within the bounds: variables that
-    it carries to a bound are put there and held, a few times over, where that solver finds out which of them are. It
-    costs a few solutions of a linear system a step for any P, and no variable moves by more than `longest` at a time,
-    as is good for logarithms.
+    it carries to a bound are put there, and those that a bound no longer holds released, a few times over, where that
+    solver goes on until none is left. It costs a few solutions of a linear system a step for any P, and no variable
+    moves by more than `longest` at a time, as is good for logarithms.
 
     Args:
         objective: values, gradients and matrices.
@@ -36,7 +36,8 @@ def minimize_projected_newton(
         lower: bounds, `(M, P)` or `(P,)`.
         upper: the same.
         max_iterations: steps of each problem at most.
-        ftol: a problem has converged when a step gains no more than this share of its value.
+        ftol: a problem has converged when a step gains no more than this share of its value, or when none is better
+            and the undamped parabola promises no more than 1e-6 of it.
         fmin: a value that is as good as 0.
         longest: the largest change of a variable in a step.
         damping: at the start, in units of the matrix' diagonal.
@@ -87,13 +88,16 @@ def minimize_projected_newton(
         iterations[rows] += 1
         gain = torch.where(_finite(f, g, h), value[rows] - f, -torch.inf)
         better = gain > 0
-        small = better & (gain <= ftol * f.abs() + fmin) & (promise <= 10 * ftol * f.abs() + fmin)
+        done = better & (gain <= ftol * f.abs() + fmin) & (promise <= 10 * ftol * f.abs() + fmin)
         stuck = ~better & (lam[rows] >= MAX_DAMPING)
-        level = ~better & (promise <= RESOLUTION * value[rows].abs() + fmin)
         taken = rows[better]
         x[taken], value[taken], gradient[taken], matrix[taken] = tried[better], f[better], g[better], h[better]
-        lam[rows] = torch.where(better, lam[rows] / 4, (lam[rows] * 6).clamp_min(1e-6)).clamp(MIN_DAMPING, MAX_DAMPING)
-        done = small | level | (value[rows] <= fmin)
+        lam[rows] = torch.where(better, lam[rows] / 4, (lam[rows] * 10).clamp_min(1e-6)).clamp(MIN_DAMPING, MAX_DAMPING)
+        done |= value[rows] <= fmin
+        if bool(stuck.any()):
+            undamped = bounded_step(gradient[rows], matrix[rows], *room, torch.full_like(promise, MIN_DAMPING))
+            left = _promise(undamped, gradient[rows], matrix[rows])
+            done |= stuck & (left <= RESOLUTION * value[rows].abs() + fmin)
         stop(done, Status.CONVERGED)
         stop(stuck & ~done, Status.STALLED)
         rows = rows[~(done | stuck)]
@@ -117,9 +121,11 @@ def bounded_step(gradient: Tensor, matrix: Tensor, low: Tensor, high: Tensor, da
         found = found[..., 0].nan_to_num(0.0)
         step = found.clamp(low, high)
         out = (found < low) | (found > high)
-        if not bool(out.any()):
+        pull = gradient + (damped @ step[..., None])[..., 0]
+        released = held & (((step <= low) & (pull < 0)) | ((step >= high) & (pull > 0)))
+        if not bool((out | released).any()):
             break
-        held = held | out
+        held = (held & ~released) | out
     return step
 
 
