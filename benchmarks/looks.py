@@ -11,7 +11,6 @@ import argparse
 import json
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from torchbrdf import load
@@ -24,12 +23,13 @@ from torchbrdf.images import DIFFERENCES, ToneMap, composite, write_png
 from torchbrdf.lobes import make_model, model_of
 from torchbrdf.losses import LOSSES, make_loss
 from torchbrdf.measured import PAPER_TEN, is_merl, standins
-from torchbrdf.render import Camera, Environment, Mesh, RenderedLoss, Scene, blob, sphere
+from torchbrdf.render import RenderedLoss, Scene, blob, unseen_scenes
 from torchbrdf.report.figures import grid_figure
 from torchbrdf.report.sheet import write_sheet
 
 FORMULAS = ("cube_root", "compressed", "log")
 RENDERED = "rendered"
+PLACES = ("sphere, studio", "torus, evening")
 EIGHT = (
     "brass", "black-obsidian", "green-metallic-paint2", "pink-fabric2", "red-plastic", "specular-violet-phenolic",
     "two-layer-gold", "white-marble",
@@ -39,35 +39,9 @@ EIGHT = (
 HIGHLIGHT, RIM, NO_HIGHLIGHT = 0.01, 0.04, 0.1
 
 
-def torus(thick=0.42, around=160, across=80):
-    """A torus, tilted, so that its inside is seen."""
-    u, v = (x.ravel() for x in np.meshgrid(*(np.arange(n) * 2 * np.pi / n for n in (around, across)), indexing="ij"))
-    normals = np.stack([np.cos(v) * np.cos(u), np.sin(v), np.cos(v) * np.sin(u)], -1)
-    vertices = np.stack([np.cos(u), np.zeros_like(u), np.sin(u)], -1) + thick * normals
-    k = np.arange(around * across).reshape(around, across)
-    a, b, c, d = (x.ravel() for x in (k, np.roll(k, -1, 0), np.roll(k, -1, (0, 1)), np.roll(k, -1, 1)))
-    return Mesh(vertices, np.concatenate([np.stack([a, c, b], -1), np.stack([a, d, c], -1)]), normals, "torus")
-
-
-def evening(height=256):
-    """A low sun in a clear sky over dark ground, as a latitude-longitude picture, linear."""
-    up = torch.cos((torch.arange(height) + 0.5) * (torch.pi / height))[:, None]
-    turn = (torch.arange(2 * height) + 0.5) * (torch.pi / height) - torch.pi
-    across = (1 - up.square()).sqrt()
-    directions = torch.stack([across * turn.sin(), up.expand(-1, 2 * height), -across * turn.cos()], -1)
-    sun = torch.nn.functional.normalize(torch.tensor([-0.6, 0.45, 0.75]), dim=0)
-    near = torch.rad2deg(torch.acos((directions @ sun).clamp(-1, 1)))[..., None]
-    sky = torch.lerp(torch.tensor([0.9, 0.75, 0.6]), torch.tensor([0.2, 0.35, 0.7]), up.clamp_min(0)[..., None].sqrt())
-    picture = torch.where(up[..., None] > 0, sky, torch.tensor([0.08, 0.07, 0.05])).expand(height, 2 * height, 3)
-    return picture + torch.sigmoid((3 - near) * 2) * torch.tensor([220.0, 180.0, 120.0])
-
-
 def scenes(size):
     """Other lights on other shapes than the grove on the blob, which rendered losses see."""
-    return {
-        "sphere, studio": Scene(sphere(), Camera(140, elevation=20), Environment.find("studio"), size=size),
-        "torus, evening": Scene(torus(), Camera(0, elevation=35), Environment.from_image(evening()), size=size),
-    }
+    return {name: scene for name, scene in unseen_scenes(size).items() if name in PLACES}
 
 
 def loss_of(name):

@@ -41,7 +41,9 @@ class MakeZoo(Recipe):
     rgl: str = field(default="", metadata={"help": "a folder of RGL's measurements; none: left out"})
     standins: str = field(default=STANDINS, metadata={"help": "the bundled stand-ins; none: left out"})
     said: str = field(default="", metadata={"help": "more about where the tables are from"})
-    size: int = field(default=40, metadata={"help": "pixels of a side of pictures that fits see", "low": 16, "high": 256})
+    size: int = field(
+        default=40, metadata={"help": "pixels of a side of pictures that fits see", "low": 16, "high": 256}
+    )
     views: int = field(default=2, metadata={"help": "how many pictures fits see", "low": 1, "high": 3})
     digits: int = field(default=4, metadata={"help": "significant digits kept", "low": 2, "high": 17})
 

@@ -24,7 +24,7 @@ PACKAGE = Path(torchbrdf.__file__).parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Pages that fit on whole tables.
-SLOW = {"README.md", "docs/start.md", "docs/how-to/fit.md", "docs/how-to/compare-metrics.md"}
+SLOW = {"README.md", "docs/start.md", "docs/how-to/fit.md", "docs/how-to/match.md", "docs/how-to/compare-metrics.md"}
 
 
 def page(path: Path) -> str:

@@ -60,7 +60,7 @@ def knot(thick: float = 0.3, around: int = 320, across: int = 48) -> Mesh:
     ahead = _unit(np.roll(middle, -1, 0) - np.roll(middle, 1, 0))
     inward = np.roll(middle, -1, 0) + np.roll(middle, 1, 0) - 2 * middle
     side = _unit(inward - (inward * ahead).sum(-1, keepdims=True) * ahead)
-    return _tube(middle, side, np.cross(side, ahead), thick, across, "knot")
+    return _tube(middle, side, np.cross(ahead, side), thick, across, "knot")
 
 
 @undisturbed()

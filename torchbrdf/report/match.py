@@ -74,6 +74,8 @@ def match(
         for name in (LIST, PAGE):
             destination(folder / name)
     groups = _groups(source, bad)
+    if not groups:  # all are bad, which is said
+        return []
     fits = None if folder is None else folder / FITS
     matches = find_matches(
         groups, target, budget, out=fits, scenes=scenes, cache=cache_folder(), progress=progress, bad=bad
@@ -120,19 +122,17 @@ def entry(one: Finished) -> dict[str, Any]:
 
 
 def _groups(source: Source | Sequence[Source], bad: list[TorchbrdfError] | None) -> list[Measured]:
+    """What is given, files of one format as one group, so that their fits are made side by side."""
     several = list(source) if isinstance(source, Sequence) and not isinstance(source, str) else [source]
-    found: list[Measured] = []
-    for one in several:
-        if isinstance(one, Measured):
-            found.append(one)
-            continue
-        wrong: list[DataError] = []
-        found += load_all([one], bad=wrong)
-        if wrong and bad is None:
-            raise wrong[0]
-        if bad is not None:
-            bad += wrong
-    if not found:
+    found = [one for one in several if isinstance(one, Measured)]
+    paths = [one for one in several if not isinstance(one, Measured)]
+    wrong: list[DataError] = []
+    found += load_all(paths, bad=wrong) if paths else []
+    if wrong and bad is None:
+        raise wrong[0]
+    if bad is not None:
+        bad += wrong
+    if not found and not wrong:
         raise UsageError("match: expected at least one material, found none")
     return found
 

@@ -29,7 +29,7 @@ class Figures:
 
     Example:
         >>> Figures({"delta_e76": 1.4}).picked_out.percent
-        '58 %'
+        '59 %'
     """
 
     differences: Mapping[str, float]

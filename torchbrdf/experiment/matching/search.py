@@ -253,7 +253,8 @@ def reach(measured: Measured) -> float:
         90.0
     """
     pairs = measured.pairs
-    angle = torch.rad2deg(torch.acos(torch.minimum(pairs.cos_i, pairs.cos_o)[0].clamp(0, 1)))
+    cosine = torch.minimum(pairs.cos_i, pairs.cos_o)[0].clamp(0, 1)
+    angle = torch.rad2deg(torch.atan2((1 - cosine.square()).sqrt(), cosine))
     valid = (measured.weight[0, :, 0] > 0).double()
     ring = (angle / RING).long().clamp_max(int(90 / RING) - 1)
     count = torch.zeros(int(90 / RING), dtype=torch.float64, device=ring.device)
