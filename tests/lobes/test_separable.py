@@ -87,7 +87,7 @@ def test_terms_make_up_the_value(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name, lobe in LOBES.items() if lobe.has_terms()])
 def test_closed_derivatives_of_terms(name: str) -> None:
     kind = LOBES[name]
-    scalars = [torch.full((1,), spec.start, dtype=torch.float64) for spec in kind.term_scalars()]
+    scalars = [torch.full(spec.shape, spec.start, dtype=torch.float64) for spec in kind.term_scalars()]
     terms, slopes = kind.terms_and_jacobian(pairs_of(), *scalars)
     general, expected = Lobe.terms_and_jacobian.__func__(kind, pairs_of(), *scalars)
     assert all(torch.allclose(one, other, rtol=1e-12) for one, other in zip(terms, general, strict=True))
@@ -103,10 +103,11 @@ def test_closed_derivatives_of_terms(name: str) -> None:
     [
         make_model("eon+ggx", dtype=torch.float64),
         make_model("eon+ggx+beckmann:f0", dtype=torch.float64),
+        make_model("shifted_gamma", 1, dtype=torch.float64),
         Sum(Plastic(dtype=torch.float64)),
         Sum(Lambert(dtype=torch.float64), Plastic(dtype=torch.float64), GGX(dtype=torch.float64)),
     ],
-    ids=["eon", "shared", "material", "among others"],
+    ids=["eon", "shared", "a number a channel", "material", "among others"],
 )
 def test_the_objectives_gradient_is_autograds(model: Sum, scalar_albedo: bool) -> None:
     model, pairs = model.batched(2), pairs_of()

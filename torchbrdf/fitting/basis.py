@@ -64,7 +64,8 @@ class _Part:
 
     def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> tuple[list[Tensor], list[Tensor]]:
         """The derivatives of terms that are in use, and the terms, `(R|1, N)` each."""
-        kind, scalars = self.kind, [values[name].to(dtype) for name in self.scalars]
+        kind, sizes = self.kind, [spec.size for spec in self.kind.term_scalars()]
+        scalars = [values[name].to(dtype).expand(-1, size) for name, size in zip(self.scalars, sizes, strict=True)]
         if self.color is not None:
             if scalars and not self.moves_terms:
                 return [], [kind.unit_response(pairs, *scalars)]
@@ -167,11 +168,14 @@ class Basis:
             if name not in part.free:
                 continue
             rate = values[name].double() if one.spec.log else torch.ones_like(values[name], dtype=torch.float64)
+            rate = rate.expand(-1, one.spec.size)
             for j in range(part.terms):
                 if (name, j) in self._rows:
-                    found[:, :, self._rows[name, j], columns.start] += albedos[:, :, first + j] * rate
+                    own_number = j if one.spec.size == 3 else 0  # a number a channel: term j takes the j-th
+                    column = columns.start + (own_number if one.width == 3 else 0)
+                    found[:, :, self._rows[name, j], column] += albedos[:, :, first + j] * rate[:, own_number, None]
             if name in changes:
-                slope = changes[name] * rate.expand(-1, one.spec.size)[:, None, None]
+                slope = changes[name] * rate[:, None, None]
                 found[:, :, own, columns] += slope if one.width == one.spec.size else slope.sum(-1, keepdim=True)
 
 

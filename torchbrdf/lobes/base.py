@@ -234,8 +234,8 @@ class Lobe(_Declared):
         """Whether its values are coefficients times terms, so that fits need no graph.
 
         Example:
-            >>> from torchbrdf.lobes import EON, ShiftedGamma, Ward
-            >>> Ward.is_separable(), EON.is_separable(), ShiftedGamma.is_separable()
+            >>> from torchbrdf.lobes import EON, DistributionBased, Ward
+            >>> Ward.is_separable(), EON.is_separable(), DistributionBased.is_separable()
             (True, True, False)
         """
         return cls.has_terms() or cls.albedo_spec() is not None
@@ -257,7 +257,8 @@ class Lobe(_Declared):
 
         Args:
             pairs: where values are wanted, `(..., N)`.
-            scalars: the parameters `(..., 1)` of `term_scalars()`.
+            scalars: the parameters `(..., 1)` of `term_scalars()`. A parameter with a number a channel, `(..., 3)`, is
+                one of a lobe with three terms, of which term j takes the j-th number alone.
 
         Returns:
             J tensors in 1/sr, `(..., N)` or what broadcasts to it; below the horizon they mean nothing.

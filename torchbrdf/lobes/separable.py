@@ -42,7 +42,7 @@ def tangents(function: Callable[..., Sequence[Tensor]], scalars: Sequence[Tensor
     slopes: Slopes = []
     for k, scalar in enumerate(scalars):
         with _FORWARD, forward_ad.dual_level():
-            dual = forward_ad.make_dual(scalar, torch.ones_like(scalar))
+            dual = forward_ad.make_dual(scalar.contiguous(), torch.ones_like(scalar.contiguous()))
             found = [
                 forward_ad.unpack_dual(one)
                 for one in function(*(dual if i == k else other for i, other in enumerate(scalars)))

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -95,8 +96,7 @@ def _angle(cosine: Tensor) -> Tensor:
 class ShiftedGamma(Lobe):
     """The shifted gamma lobe; ten numbers for each channel, whose bounds hold the published fits.
 
-    As no colour times a scalar function, it is fitted by the general solver: the staged procedure, then all parameters
-    together. The value depends on the product of `specular` and `normalization` only, and fits move both.
+    The value depends on the product of `specular` and `normalization` only, and fits move both.
 
     Args:
         dtype: of the parameters; by default the values' own, or torch's.
@@ -131,3 +131,17 @@ class ShiftedGamma(Lobe):
         start=0.2, lower=-0.7, upper=1.25, shape=(3,), doc="theta0, where the shadowing begins, radians"
     )
     function = staticmethod(shifted_gamma)
+    scalars_of_terms: ClassVar[tuple[str, ...]] = ("alpha", "p", "f0", "f1", "shadow", "reach", "steepness", "onset")
+
+    @classmethod
+    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """One term a channel, of its own numbers alone."""
+        alpha, p, f0, f1, shadow, reach, steepness, onset = scalars
+        one = torch.ones_like(alpha)
+        found = shifted_gamma(pairs, one, alpha, p, one, f0, f1, shadow, reach, steepness, onset)
+        return list(found.unbind(-1))
+
+    @classmethod
+    def coefficients(cls, **parameters: Tensor) -> Tensor:
+        """specular * K, each channel's for its own term."""
+        return torch.diag_embed(parameters["specular"] * parameters["normalization"])
