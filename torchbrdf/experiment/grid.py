@@ -8,8 +8,10 @@ from pathlib import Path
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.experiment.items import same_file
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
+from torchbrdf.fitting.parameters import has_measurable_diffuse
 from torchbrdf.fitting.strategy import Strategy, strategy_name
-from torchbrdf.lobes import LOBES, FitRecord, make_model, read_fits, write_fits
+from torchbrdf.lobes import FitRecord, make_model, read_fits, write_fits
+from torchbrdf.lobes.model import lobe_count
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image
 from torchbrdf.names import file_stem
@@ -26,9 +28,10 @@ class FitGrid:
     Args:
         folder: Where `fits.json` and `fits.csv` are.
         groups: The materials.
-        models: Registered names of lobes.
+        models: Names of models, as `make_model` takes them.
         losses: By the names that records and pictures have.
-        lobes: Numbers of specular lobes; the fits with the first of them are those that are drawn.
+        lobes: Numbers of specular lobes, where a model's name leaves it open; the fits with the first of them are those
+            that are drawn.
         strategy: How they are fitted.
         compare_strategy: Another strategy, whose fits with the first number of lobes are compared with these.
         diffuse: How all fits alike treat the diffuse albedo, `45:0` or `fit`.
@@ -71,7 +74,7 @@ class FitGrid:
 
     def __post_init__(self) -> None:
         for name in self.models:
-            LOBES[name]
+            lobe_count(name, self.lobes[0])
         for name in self.strategies:
             STRATEGIES[name]
         if self.compare_strategy == self.strategy:
@@ -143,7 +146,7 @@ class FitGrid:
             DataError: There is none: `fit` was not called, or the grid is about something else.
         """
         strategy = self._strategy_of(loss, strategy or self.strategy)
-        wanted = (material, model, loss, lobes or self.lobes[0], strategy)
+        wanted = (material, model, loss, lobe_count(model, lobes or self.lobes[0]), strategy)
         for record in self.records:
             if _key(record) == wanted:
                 return record
@@ -169,9 +172,10 @@ class FitGrid:
         progress(len(self.records), total)
         for strategy, lobes in kinds:
             for model in self.models:
+                count = lobe_count(model, lobes)
                 for group in self.groups:
-                    if not self._has(strategy, model, lobes, group):
-                        self.records += self._fit(strategy, model, lobes, group, progress, total)
+                    if not self._has(strategy, model, count, group):
+                        self.records += self._fit(strategy, model, count, group, progress, total)
                         self.save()
 
     def _stored(self, path: Path) -> list[FitRecord]:
@@ -205,13 +209,17 @@ class FitGrid:
     ) -> list[FitRecord]:
         """Fits of one model to some materials under every loss, with their errors under all of them."""
         names, losses = list(self.losses), list(self.losses.values())
+        start = make_model(model, lobes)
+        diffuse = self.diffuse if has_measurable_diffuse(start) else "fit"
+        if diffuse != self.diffuse:
+            self.folder.log(f"{model}: diffuse fitted with the rest, as it has no albedo to measure at {self.diffuse}")
         results = [
             fit(
-                make_model(model, lobes),
+                start,
                 group,
                 loss,
                 strategy=self.own_strategies.get(names[k], strategy),
-                diffuse=self.diffuse,
+                diffuse=diffuse,
                 max_theta=self.max_theta,
                 samples=self.samples,
                 seed=self.seed,

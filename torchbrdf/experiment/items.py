@@ -90,7 +90,8 @@ def _item(group: Measured, row: int) -> Item:
     name = record.material
     if not record.strategy:
         return Item(f"{name} (stand-in)", name, "stand-in", stem=name)
-    lobes = f"{record.lobes} lobe{'' if record.lobes == 1 else 's'}"
+    whole = "diffuse" not in record.parameters  # a material, whose lobes nobody counts
+    lobes = "" if whole else f"{record.lobes} lobe{'' if record.lobes == 1 else 's'}"
     how = [model_label(record.model), lobes, loss_label(record.loss), record.strategy, diffuse_label(record.diffuse)]
     stem = [name, record.model, lobes.replace(" ", "-"), record.loss, record.strategy]
     return Item(clean_name(f"{name}: {', '.join(filter(None, how))}"), name, "fit", stem="-".join(filter(None, stem)))

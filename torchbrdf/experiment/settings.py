@@ -8,7 +8,7 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.fitting import STRATEGIES
 from torchbrdf.fitting.api import DIFFUSE_MODES
-from torchbrdf.lobes import LOBES
+from torchbrdf.lobes.model import lobe_count
 from torchbrdf.losses import LOSSES, Loss
 from torchbrdf.measured import Measured, load_all, standins
 from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
@@ -46,13 +46,14 @@ class FitGridRecipe(Recipe):
         super().__post_init__()
         self.expect_names("models", "losses")
         registries: list[tuple[Registry[Any], tuple[str, ...]]] = [
-            (LOBES, self.models),
             (LOSSES, self.losses),
             (STRATEGIES, (self.strategy,)),
         ]
         for registry, names in registries:
             for name in names:
                 registry[name]  # an unknown one is said before a folder is written
+        for name in self.models:
+            lobe_count(name, self.lobes)
         if self.diffuse not in DIFFUSE_MODES:
             raise unknown(f"diffuse of {self.name}", self.diffuse, DIFFUSE_MODES)
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from torchbrdf.lobes import BoundedParameter, Lobe, Sum
+from torchbrdf.lobes import BoundedParameter, Lambert, Lobe, Sum
 from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, shared_specs
 from torchbrdf.pairs import Pairs
 
@@ -21,6 +21,12 @@ def diffuse_components(model: Lobe) -> list[int]:
 def specular_components(model: Lobe) -> list[int]:
     """Which are not."""
     return [k for k, lobe in enumerate(model.components()) if not lobe.is_diffuse]
+
+
+def has_measurable_diffuse(model: Lobe) -> bool:
+    """Whether the diffuse albedo can be measured and held: that of Lambert, in no whole material, or of none."""
+    parts = model.components()
+    return not any(part.is_material or (part.is_diffuse and not isinstance(part, Lambert)) for part in parts)
 
 
 @dataclass(frozen=True)

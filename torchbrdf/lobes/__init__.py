@@ -17,7 +17,7 @@ from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
-from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
+from torchbrdf.lobes.records import FitRecord, OutsideBoundsWarning, model_of, read_fits, write_fits
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
@@ -40,6 +40,7 @@ __all__ = [
     "Lobe",
     "LowABC",
     "OrenNayar",
+    "OutsideBoundsWarning",
     "ShiftedGamma",
     "Sum",
     "Ward",

@@ -76,6 +76,24 @@ def _diffuse_and_lobes(kinds: list[type[Lobe]], name: str, lobes: int | None) ->
     return [*diffuse, *specular]
 
 
+def lobe_count(name: str, wanted: int) -> int:
+    """How many specular lobes a model has where so many are wanted of each that leaves it open.
+
+    Args:
+        name: of the model; a whole material counts as 1, and a name of several components says it itself.
+        wanted: of a model that is named after one kind of lobe.
+
+    Raises:
+        UsageError: it is no model's name, or there cannot be so many.
+
+    Example:
+        >>> lobe_count("ward", 2), lobe_count("oren_nayar+ggx", 2)
+        (2, 1)
+    """
+    first, *rest = component_kinds(name, None if JOIN in name or LOBES[split_shared(name)[0]].is_material else wanted)
+    return 1 if first.is_material else len(rest)
+
+
 def split_shared(name: str) -> tuple[str, tuple[str, ...]]:
     """A model's name without the parameters that its lobes share, and these.
 
