@@ -184,3 +184,20 @@ def test_what_it_refuses():
         TabulatedFit(smooth=-1)
     with pytest.raises(UsageError, match="expected distribution_based lobes beside Lambert's term, found Lambert"):
         fit(Sum(Lambert(), Ward()), measured_from(surface()), RMSLoss(), strategy="tabulated", diffuse="fit")
+
+
+def test_bad_materials_leave_the_others_be():
+    """All invalid, all zero, constant, almost nothing valid."""
+    pairs = some_pairs(1000)
+    good = surface()(pairs).detach()
+    few = good.clone()
+    few[:, 5:] = torch.nan
+    values = torch.cat([good, good * torch.nan, 0 * good, 0 * good + 0.1, few])
+    measured = Measured.from_samples(pairs, values)
+    model = make_model("distribution_based", 1)
+    result = fit(model, measured, CompressedLoss(), samples=None, max_theta=90)
+    expected = [Status.CONVERGED, Status.NO_DATA, Status.CONVERGED, Status.CONVERGED, Status.TOO_FEW_SAMPLES]
+    assert result.status == expected
+    alone = fit(model, measured.batch([0]), CompressedLoss(), samples=None, max_theta=90)
+    torch.testing.assert_close(result.error[:1], alone.error, rtol=1e-6, atol=0)
+    assert fit(model, measured, CompressedLoss(), max_theta=1e-3).status == [Status.NO_DATA] * 5
