@@ -7,7 +7,7 @@ normal, half of them near the mirror direction (the median, and the mean error o
 Delta E 76 and the dB of our pictures (blob, default scene) beside the original's, of its RGL table, of its MERL table,
 and of the table that is back in its own format: MERL to RGL to MERL, RGL to MERL to RGL. With --mitsuba (a square
 number of paths a pixel) the dB of Mitsuba's picture of a sphere with the RGL table to ours of the original, and the
-ratio of the means.
+ratio of the means; ours with light and viewer exchanged, since Mitsuba takes the file's theta_i for the viewer's.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from helpers.directions import hemisphere
 from helpers.mitsuba_pictures import Studio, likeness, obstacle
 
 from torchbrdf.export import picture_differences
+from torchbrdf.lobes import BoundedParameter, Lobe
 from torchbrdf.measured import load, load_all, merl_values, write_merl, write_rgl
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Camera, Environment, Scene, blob, render, sphere
@@ -62,6 +63,21 @@ def errors(brdf, table, pairs):
     return (off / size.clamp_min(1e-12)).median().item(), (off.mean() / size.mean()).item()
 
 
+class Exchanged(Lobe):
+    """A measured BRDF with light and viewer exchanged."""
+
+    unused: BoundedParameter = BoundedParameter(start=0.0, lower=0.0, upper=1.0, doc="a lobe has a parameter")
+
+    def __init__(self, measured):
+        super().__init__()
+        self.measured = measured
+
+    def forward(self, pairs):
+        """Values, `(..., N, 3)`."""
+        wi, wo = pairs.wo.reshape(1, -1, 3), pairs.wi.reshape(1, -1, 3)
+        return self.measured.at(Pairs.from_directions(wi, wo)).reshape(*pairs.shape, 3)
+
+
 class Drawn:
     """Mitsuba beside us: a sphere in the default environment, without shadows."""
 
@@ -74,7 +90,7 @@ class Drawn:
         """How alike the pictures are."""
         bsdf = {"type": "measured", "filename": str(path)}
         theirs = [self.studio.picture(bsdf, self.samples, seed) for seed in (0, 1)]
-        return likeness(render(brdf, self.scene)[0], theirs, self.studio.where)
+        return likeness(render(Exchanged(brdf), self.scene)[0], theirs, self.studio.where)
 
 
 def main(files, size, samples):

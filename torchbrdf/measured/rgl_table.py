@@ -47,6 +47,9 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
     changes, on where light goes and on the rest. Below the horizon, s continues linearly in cos_o, so that f vanishes
     where it should. `luminance` is the density of the reflected light in these coordinates: renderers sample by it.
 
+    theta_i is the light's, as in the database. Mitsuba, which traces from the camera, takes it for the viewer's, in
+    RGL's own files, too: what is not reciprocal, as measurements are not quite, is seen there with the two exchanged.
+
     What a measured BRDF does not know is what its `at` says there: the nearest valid value, and beyond the largest
     theta_i that was measured, say 60 degrees, that of this angle.
 
