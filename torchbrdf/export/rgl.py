@@ -1,13 +1,11 @@
 """Mitsuba 3, and whatever else reads RGL's files: any BRDF as a table, a file of RGL's format."""
 
-from dataclasses import replace
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, copied
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.tables import copied
 from torchbrdf.measured import Measured, Rgl, load, write_rgl
 from torchbrdf.measured.rgl_table import ANGLES, SIZE
-
-EXCHANGED = "Mitsuba takes theta_i for the viewer's angle, not the light's, which shows where f is not reciprocal"
 
 
 @EXPORTERS.register("rgl")
@@ -20,10 +18,8 @@ class RglTable(Exporter):
         """Write the table."""
         path, brdf = material.path(folder, self.suffix), material.brdf
         if isinstance(brdf, Measured) and isinstance(brdf.source, Rgl) and brdf.source.is_whole(brdf.materials[0]):
-            done = copied(path, brdf)
-            return replace(done, notes=[*done.notes, EXCHANGED])
+            return copied(path, brdf)
         write_rgl(path, brdf, description=material.name)
         size = path.stat().st_size / 1e6
         note = f"a table of RGL's format: {ANGLES} theta_i x {SIZE} x {SIZE} half vectors, RGB, {size:.1f} MB"
-        measured_apart = isinstance(brdf, Measured) and not brdf.on_merl_bins  # MERL tables are reciprocal
-        return Exported([path], False, [note, EXCHANGED] if measured_apart else [note], load(path))
+        return Exported([path], False, [note], load(path))
