@@ -1,7 +1,6 @@
 """`export`: one call from a fit or a measured file to a material that a renderer reads."""
 
 import copy
-import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.export.tables import reach
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, outside_bounds
@@ -20,8 +20,6 @@ from torchbrdf.render import Mesh, find_mesh
 
 # Of what is given without one.
 NAMELESS = "material"
-# Degrees from the normal up to which a measurement is expected to reach; RGL's go to 78.
-FAR_ENOUGH = 75.0
 
 
 def export(
@@ -86,7 +84,7 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
         done = _written(exporter, material, folder)
-    return done if done.exact else replace(done, notes=[*done.notes, *_unmeasured(material)])
+    return done if done.exact else replace(done, notes=[*done.notes, *reach(material.brdf)])
 
 
 def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
@@ -104,20 +102,6 @@ def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
     if not isinstance(done, Exported):
         raise UsageError(f"{kind.__name__} of {kind.__module__}: expected to get an Exported, found {shown(done)}")
     return done
-
-
-def _unmeasured(material: Material) -> list[str]:
-    """A note on a measurement that does not reach near the horizon."""
-    if not isinstance(material.brdf, Measured):
-        return []
-    valid = material.brdf.weight[..., 0] > 0
-    pairs = material.brdf.pairs
-    lowest = [cosine.expand_as(valid)[valid] for cosine in (pairs.cos_i, pairs.cos_o)]
-    # Of the two directions the one that reaches less far: many instruments go to 90 degrees with the other.
-    farthest = min(math.degrees(math.acos(float(one.min().clamp(0, 1)))) if len(one) else 0.0 for one in lowest)
-    if farthest >= FAR_ENOUGH:
-        return []
-    return [f"measured up to {farthest:.0f} degrees from the normal; what lies beyond is the nearest that was measured"]
 
 
 def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | None = None) -> Material:

@@ -1,7 +1,6 @@
 """What an exporter is: it writes one material for one program, and says what that program will show."""
 
 import importlib
-import shutil
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.files import replacing
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.names import check_name, file_stem
@@ -147,15 +145,3 @@ def needed(package: str, extra: str, purpose: str) -> ModuleType:
         raise UsageError(
             f"{purpose}: expected the package {package}, found none ({error}); pip install 'torchbrdf[{extra}]'"
         ) from None
-
-
-def copied(path: Path, measured: Measured) -> Exported:
-    """A measurement's own file as it is.
-
-    Args:
-        path: Where to.
-        measured: One material, from a file that the program reads.
-    """
-    with replacing(path) as part:
-        shutil.copyfile(measured.source.paths[measured.materials[0]], part)
-    return Exported([path], True, ["exact: the measurement's own file"], measured)

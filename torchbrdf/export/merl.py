@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, copied
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.tables import copied
 from torchbrdf.measured import Measured, Merl, load, merl_values, write_merl
 
 

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, copied
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.tables import copied
 from torchbrdf.measured import Measured, Rgl, load, write_rgl
 from torchbrdf.measured.rgl_table import ANGLES, SIZE
 

@@ -1,5 +1,7 @@
 """Any BRDF, fitted or measured, at the places that a table has."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -48,3 +50,17 @@ def check_single(brdf: Brdf) -> None:
         raise UsageError(f"a table: expected a lobe or a Measured, found {shown(brdf)}")
     if count != 1:
         raise UsageError(f"a table: expected one material, found {count}")
+
+
+def measured_up_to(brdf: Brdf) -> float:
+    """The angle from the normal, in degrees, up to which both directions of a BRDF were measured; 90 of a lobe.
+
+    Args:
+        brdf: A lobe, or one measured material.
+    """
+    if not isinstance(brdf, Measured) or brdf.stand_in:
+        return 90.0
+    valid = brdf.weight[0, :, 0] > 0
+    pairs = brdf.pairs.select([0])
+    lowest = [float(cosine[0][valid].min()) for cosine in (pairs.cos_i, pairs.cos_o)]
+    return math.degrees(math.acos(min(max(lowest), 1.0)))

@@ -1,0 +1,27 @@
+"""What exporters of tables have in common."""
+
+import shutil
+from pathlib import Path
+
+from torchbrdf.export.base import Brdf, Exported
+from torchbrdf.files import replacing
+from torchbrdf.measured import Measured
+from torchbrdf.measured.tables import measured_up_to
+
+NEARLY_ALL = 85.0
+"""Degrees from the normal up to which data say enough for every picture."""
+
+
+def copied(path: Path, measured: Measured) -> Exported:
+    """A measurement's own file as it is."""
+    with replacing(path) as part:
+        shutil.copyfile(measured.source.paths[measured.materials[0]], part)
+    return Exported([path], True, ["exact: the measurement's own file"], measured)
+
+
+def reach(brdf: Brdf) -> list[str]:
+    """A note on what was not measured, if that is a part of pictures."""
+    angle = measured_up_to(brdf)
+    if angle >= NEARLY_ALL:
+        return []
+    return [f"measured up to {angle:.0f} degrees from the normal; beyond, the nearest values there are"]
