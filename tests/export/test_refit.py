@@ -1,5 +1,6 @@
 """What a program has no model for."""
 
+import copy
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -8,9 +9,9 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.export import Material
-from torchbrdf.export.refit import refit
+from torchbrdf.export.refit import _values_of, _without_idle_layers, refit
 from torchbrdf.export.shading import Limits, Target, Values, numbers_of, visible
-from torchbrdf.lobes import EON, GGX, GGXF82, LOBES, Lambert, Lobe, Sum, make_model
+from torchbrdf.lobes import EON, GGX, GGXF82, GLTF, LOBES, Lambert, Lobe, Sum, make_model
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
 
@@ -40,8 +41,19 @@ def test_what_cannot_be_fitted_is_said() -> None:
     angle = torch.full((1, 3), 1.5, dtype=torch.float64)
     pairs = Pairs.from_half_diff(angle, torch.zeros_like(angle), torch.zeros_like(angle))
     measured = Measured.from_samples(pairs, torch.ones(1, 3, 3, dtype=torch.float64), names=["low"])
-    with pytest.raises(DataError, match=r"^low: cannot be refitted as ggx: no valid sample within 80 degrees$"):
+    with pytest.raises(DataError, match=r"^low: expected valid samples within 80 degrees, found none$"):
         refit(Material("low", measured), "ggx")
+
+
+def test_a_layer_that_does_not_matter_is_left_out() -> None:
+    paint = GLTF(base_color=[0.5, 0.25, 0.125], metallic=0.0, clearcoat=0.0, sheen_color=[0.0, 0.0, 1e-4])
+    bins = _values_of(paint, "paint")
+    error = 1e-3
+    found, without = _without_idle_layers(copy.deepcopy(paint), bins, error)
+    assert not found.sheen_color.any() and without < error  # type: ignore[operator, union-attr]
+    coated = GLTF(base_color=[0.5, 0.25, 0.125], metallic=0.0, clearcoat=0.5, sheen_color=[0.0, 0.5, 0.0])
+    found, same = _without_idle_layers(copy.deepcopy(coated), _values_of(coated, "coated"), error)
+    assert same == error and found.clearcoat.item() == 0.5 and found.sheen_color[1].item() == 0.5  # type: ignore[operator, union-attr, index]
 
 
 def full(lobe: GGXF82) -> Values | None:

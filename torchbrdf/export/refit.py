@@ -18,6 +18,9 @@ LOSS = "compressed"
 # Pairs of directions that are fitted, and their largest angle from the normal, in degrees.
 SAMPLES = 5_000
 MAX_THETA = 80.0
+# What a layer is multiplied by, in any model, and how much larger the error may be without it.
+LAYERS = ("sheen_color", "sheen", "fuzz_weight", "clearcoat", "coat_weight")
+IDLE = 1.03
 # Ends of a fit after which there is a model.
 ENDED = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
 
@@ -56,12 +59,35 @@ def refit(material: Material, model: str) -> Refit:
         True
     """
     measured = _some(material.brdf) if isinstance(material.brdf, Measured) else _values_of(material.brdf, material.name)
+    if not bool((measured.weight > 0).any()):
+        raise DataError(f"{material.name}: expected valid samples within {MAX_THETA:g} degrees, found none")
     result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=None, max_theta=MAX_THETA)
     (status,), (reason,), error = result.status, result.reason, result.error.item()
     if status not in ENDED:
         raise DataError(f"{material.name}: cannot be refitted as {model}: {reason}")
     early = "" if status == Status.CONVERGED else f"; not converged: {reason}"
-    return Refit(_first(result.model), error, f"refitted as {model} under {LOSS}: error {error:.3g}{early}")
+    fitted, error = _without_idle_layers(_first(result.model), measured, error)
+    return Refit(fitted, error, f"refitted as {model} under {LOSS}: error {error:.3g}{early}")
+
+
+def _without_idle_layers(model: Lobe, measured: Measured, error: float) -> tuple[Lobe, float]:
+    """The model without layers that hardly better its error, and its error.
+
+    Such a layer is seen where nothing was fitted: a narrow sheen of any colour lights up at the outline.
+    """
+    loss = LOSSES[LOSS]()
+    for part in model.components():
+        for name in LAYERS:
+            if name in part.parameter_specs:
+                kept = getattr(part, name).detach().clone()
+                setattr(part, name, torch.zeros_like(kept))
+                with torch.no_grad():
+                    without = loss(model(measured.pairs), measured.values, measured.pairs, measured.weight).item()
+                if without <= IDLE * error:
+                    error = without
+                else:
+                    setattr(part, name, kept)
+    return model, error
 
 
 def _some(measured: Measured) -> Measured:
