@@ -84,7 +84,9 @@ def test_a_bad_material_leaves_the_others(fits: Path, capsys: pytest.CaptureFixt
     assert [path.name for path in (fits.parent / "out").iterdir()] == ["metal.xml"]
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 4 and all(line.startswith("torchbrdf: left out: ") and len(line) <= 340 for line in lines)
-    assert any("paint: roughness: expected 0.001 to 0.5, found 7" in line for line in lines)
+    assert any(
+        "paint: expected parameters within their bounds, found roughness 7, not 0.001 to 0.5" in line for line in lines
+    )
     assert any("fit 1: model: expected one of" in line for line in lines)
     assert any(f"{missing}: no such file or folder" in line for line in lines)
 

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from helpers.fake_blender import Blender
 
 from torchbrdf.export import export
-from torchbrdf.export.blender import SAME, SOCKETS, script, sockets
-from torchbrdf.export.mtlx import INPUTS
-from torchbrdf.lobes import GGX, Lambert
+from torchbrdf.export.blender import SAME, SOCKETS, inputs_for_blender, script, sockets
+from torchbrdf.export.mtlx import INPUTS, inputs_of
+from torchbrdf.lobes import GGX, Lambert, OpenPBR
 
 EVERYTHING = {
     name: [0.25, 0.5, 0.75] if limits.size == 3 else max(0.5, limits.lower) for name, limits in SOCKETS.items()
@@ -89,3 +90,23 @@ def test_inputs_of_openpbr_have_sockets() -> None:
         "Coat Tint": [1.0, 0.5, 0.25],
         "Specular IOR Level": 0.5,
     }
+
+
+def test_what_blender_does_not_do_is_done_to_the_inputs(tmp_path: Path) -> None:
+    plain = OpenPBR(base_color=0.5, base_metalness=0.0, coat_weight=0.0, dtype=torch.float64)
+    assert inputs_for_blender(plain) == inputs_of(plain)
+    metal = OpenPBR(base_color=0.5, base_metalness=1.0, specular_weight=0.5, coat_weight=0.0, dtype=torch.float64)
+    assert inputs_for_blender(metal)["base_color"] == [0.25] * 3
+    coated = OpenPBR(
+        base_color=0.5, base_metalness=0.0, specular_ior=1.5, specular_roughness=0.5,
+        coat_weight=1.0, coat_ior=1.5, coat_roughness=0.5, coat_darkening=1.0, dtype=torch.float64,
+    )  # fmt: skip
+    found = inputs_for_blender(coated)
+    assert found["specular_ior"] == pytest.approx(1.0)  # a base of the coat's own index reflects nothing below it
+    assert found["specular_roughness"] == pytest.approx((3 * 0.5**4) ** 0.25)
+    thrown_back = 1 - (1 - 0.04) / 1.5**2  # of what leaves the base, with the reflection of white light from inside
+    assert found["coat_color"] == pytest.approx([(1 - thrown_back) / (1 - 0.5 * thrown_back)] * 3)
+    done = export(coated, "blender", tmp_path)
+    assert not done.exact and done.notes == [
+        "Blender's Principled BSDF: as OpenPBR, but its layers are mixed in a way of its own"
+    ]

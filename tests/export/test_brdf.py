@@ -16,8 +16,8 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.render.raster.backends import find_opengl
 
 WITH_GLSL = [name for name in LOBES if glsl(name)]
-# A power of up to 1000 has as few digits more in single precision.
-TOLERANCES = {"shifted_gamma": 2e-3}
+# A power of up to 1000, and 1 minus a shadow of up to 1e8, have that much fewer digits in single precision.
+TOLERANCES = {"shifted_gamma": 2e-2}
 OPENGL = pytest.mark.skipif(not find_opengl().renderer, reason=f"needs OpenGL: {find_opengl().reason}")
 
 

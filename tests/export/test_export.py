@@ -77,9 +77,18 @@ def test_a_name_that_is_none_writes_nothing(name: object, tmp_path: Path) -> Non
         (PAINT.batched(3), "^material: expected one material, found a model of 3"),
         (load(standins()), r"^export: expected one material, found 10; export each of them: measured.batch\(\[k\]\)$"),
         (standins(), "standins.json: expected one material, found 10 fits; "),
-        (GGX(roughness=1.5), r"^material: roughness: expected 0.001 to 1, found 1.5$"),
-        (Lambert(albedo=[0.5, -0.1, 0.5]), r"^material: albedo: expected 0 to 1, found -0.1$"),
-        (record(model=Sum(Lambert(), Ward(roughness=0.7))), r"^paint: roughness: expected 0.001 to 0.5, found 0.7$"),
+        (
+            GGX(roughness=1.5),
+            r"^material: expected parameters within their bounds, found roughness 1.5, not 0.001 to 1$",
+        ),
+        (
+            Lambert(albedo=[0.5, -0.1, 0.5]),
+            r"^material: expected parameters within their bounds, found albedo -0.1, not 0 to 1$",
+        ),
+        (
+            record(model=Sum(Lambert(), Ward(roughness=0.7))),
+            r"^paint: expected parameters within their bounds, found roughness 0.7, not 0.001 to 0.5$",
+        ),
         ("nowhere.binary", r"^nowhere.binary: no such file or folder$"),
         ("", "^expected a path of measured BRDFs"),
         (torch.ones(3), r"^export: expected a lobe, a Measured, a FitRecord or a path, found tensor"),

@@ -15,6 +15,7 @@ from torchbrdf.export import export
 from torchbrdf.export.gltf import GLTF, glb, gltf_material
 from torchbrdf.export.shading import within
 from torchbrdf.lobes import GGX, Lambert, Sum
+from torchbrdf.lobes import GLTF as GLTF_LOBE
 from torchbrdf.names import file_stem
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Mesh, blob, sphere
@@ -204,3 +205,35 @@ def test_values_beyond_limits_are_moved_and_said() -> None:
 def test_values_that_are_none_are_said(values: Any, kind: type[Exception], message: str) -> None:
     with pytest.raises(kind, match=message):
         within(values, GLTF.limits, "gold")
+
+
+def test_the_lobe_s_parameters_are_written_as_they_are(tmp_path: Path) -> None:
+    lobe = GLTF_LOBE(
+        base_color=[0.75, 0.5, 0.25], metallic=0.25, roughness=0.5, specular=0.75, specular_color=[0.5, 0.75, 0.25],
+        ior=1.75, clearcoat=0.5, clearcoat_roughness=0.25, sheen_color=[0.25, 0.5, 0.125], sheen_roughness=0.75,
+    )  # fmt: skip
+    done = export(Sum(lobe), "gltf", tmp_path)
+    assert done.exact and done.notes == ["exact: glTF's metallic-roughness material"]
+    (material,) = chunks(done.files[0].read_bytes())[0]["materials"]
+    assert material["pbrMetallicRoughness"] == {
+        "baseColorFactor": [0.75, 0.5, 0.25, 1.0],
+        "metallicFactor": 0.25,
+        "roughnessFactor": 0.5,
+    }
+    assert material["extensions"] == {
+        "KHR_materials_ior": {"ior": 1.75},
+        "KHR_materials_specular": {"specularFactor": 0.75, "specularColorFactor": [0.5, 0.75, 0.25]},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25},
+        "KHR_materials_sheen": {"sheenColorFactor": [0.25, 0.5, 0.125], "sheenRoughnessFactor": 0.75},
+    }
+
+
+@pytest.mark.slow
+def test_what_gltf_has_not_is_refitted(tmp_path: Path) -> None:
+    brdf = Sum(Lambert(albedo=[0.3, 0.2, 0.1]), GGX(specular=[0.5, 0.4, 0.3], roughness=0.1, f0=0.2))
+    done = export(brdf, "gltf", tmp_path)
+    assert not done.exact and done.notes[0].startswith("refitted as gltf under compressed: error 0.0")
+    again = export(done.shown, "gltf", tmp_path, name="again")
+    assert again.exact
+    first, second = (chunks(one.files[0].read_bytes())[0]["materials"][0] for one in (done, again))
+    assert first == second | {"name": "material"}

@@ -7,7 +7,7 @@ import pytest
 
 from torchbrdf.export import export
 from torchbrdf.export.mtlx import INPUTS, document, node_name
-from torchbrdf.lobes import EON, GGX, Lambert, Sum
+from torchbrdf.lobes import EON, GGX, Lambert, OpenPBR, Sum
 
 EVERYTHING = {name: [0.25, 0.5, 0.75] if limits.size == 3 else 0.5 for name, limits in INPUTS.items()}
 
@@ -96,3 +96,15 @@ def test_names_are_those_of_materialx() -> None:
     mx = pytest.importorskip("MaterialX", reason="needs the package materialx")
     for name in ("nickel", "gold-paint 2", "2", "_", "\u00e4\u00f6", "x" * 200, "a.b:c"):
         assert mx.isValidName(node_name(name)) and node_name(name).isascii() and node_name(name)[0].isalpha()
+
+
+def test_the_lobe_s_parameters_are_written_as_they_are(tmp_path: Path) -> None:
+    values: dict[str, Any] = {name: EVERYTHING[name] for name in OpenPBR.parameter_specs}
+    values |= {"specular_color": [0.625, 0.75, 0.875], "specular_ior": 1.25, "coat_ior": 1.75}
+    done = export(OpenPBR(**values), "mtlx", tmp_path)
+    assert done.exact and done.notes == ["exact: OpenPBR's surface"]
+    made = read(done.files[0])
+    node = surface(made)
+    for name, value in values.items():
+        found = node.getInputValue(name)
+        assert (list(found) if isinstance(value, list) else found) == value, name

@@ -1,6 +1,7 @@
 """Lobes of several coloured terms, whole materials and shared parameters."""
 
 import math
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
@@ -20,12 +21,15 @@ from torchbrdf.lobes import (
     FitRecord,
     Lambert,
     Lobe,
+    OutsideBoundsWarning,
     Sum,
     albedo,
     from_parameters,
     make_model,
     model_name,
     parameters,
+    read_fits,
+    write_fits,
 )
 from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.lobes.separable import columns, pattern
@@ -186,3 +190,14 @@ def test_no_albedo_is_measured_for_a_whole_material(plastic: type[Lobe]) -> None
     assert found.records()[0].parameters["roughness"] == pytest.approx(0.03, rel=1e-3)
     with pytest.raises(UsageError, match="diffuse: expected fit for Plastic, found 45:0"):
         fit(make_model("plastic"), measured, make_loss("compressed"), diffuse="45:0")
+
+
+def test_a_file_with_parameters_outside_their_bounds_says_so(tmp_path: Path) -> None:
+    values = {"diffuse": [0.1] * 3, "specular": [[0.1] * 3], "roughness": [0.9]}
+    write_fits(tmp_path / "fits.json", [FitRecord("paint", "ward", 1, values)])
+    with pytest.warns(OutsideBoundsWarning, match="roughness 0.9, not 0.001 to 0.5, of paint$"):
+        (record,) = read_fits(tmp_path / "fits.json")
+    assert record.parameters == values
+    (inside,) = [FitRecord("paint", "ward", 1, values | {"roughness": [0.001]})]
+    write_fits(tmp_path / "fits.json", [inside])
+    assert read_fits(tmp_path / "fits.json") == [inside]

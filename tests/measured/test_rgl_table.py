@@ -11,6 +11,7 @@ from helpers.measured_files import read_bsdf, synthetic_raw, write_raw_merl
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import GGX, Charlie, Lambert, Lobe, Sum, Ward
+from torchbrdf.lobes import LOBES as LOBE_KINDS
 from torchbrdf.measured import Measured, load, write_rgl
 from torchbrdf.pairs import Pairs
 
@@ -101,6 +102,15 @@ class Broken(Lobe):
         return torch.where(pairs.cos_i > 0.5, 0.1, value)[..., None].expand(*pairs.shape, 3)
 
 
+@pytest.mark.parametrize("kind", sorted(LOBE_KINDS))
+def test_every_lobe_as_it_starts(tmp_path: Path, kind: str) -> None:
+    lobe, path, pairs = LOBE_KINDS[kind](), tmp_path / "x.bsdf", random_pairs(1000)
+    write_rgl(path, lobe, angles=24, size=48)
+    expected, found = lobe(pairs)[0].detach(), load(path, dtype=torch.float64).at(pairs)[0]
+    off = (found - expected).abs().sum(-1) * pairs.cos_o[0]
+    assert off.sum() < 0.03 * (expected.abs().sum(-1) * pairs.cos_o[0]).sum()
+
+
 def test_what_is_not_finite_or_beyond_all_measure_does_not_spread(tmp_path: Path) -> None:
     path = tmp_path / "broken.bsdf"
     write_rgl(path, Broken(), angles=8, size=16)
@@ -117,6 +127,24 @@ def test_a_merl_table_with_holes(tmp_path: Path) -> None:
     assert ((found - expected).abs().amax(-1) / expected.amax(-1)).median() < 0.1  # its noise is 20 %
 
 
+def test_a_written_file_that_is_cut_short_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "cut.bsdf"
+    write_rgl(path, LOBES["paint"], angles=4, size=4)
+    content = path.read_bytes()
+    for end in [*range(1, 400, 7), *np.linspace(400, len(content) - 1, 40).astype(int)]:
+        path.write_bytes(content[:end])
+        with pytest.raises(DataError, match=r"cut\.bsdf"):
+            load(path)
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="expected a file or a new name, found a folder"):
+        write_rgl(tmp_path, Lambert(), angles=4, size=4)
+    with pytest.raises(UsageError):
+        write_rgl(tmp_path / "x.bsdf", Lambert().batched(2), angles=4, size=4)
+    assert not any(tmp_path.iterdir())
+
+
 def test_what_cannot_be_written(tmp_path: Path) -> None:
     path = tmp_path / "x.bsdf"
     pairs = random_pairs(10)
@@ -127,8 +155,12 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
         write_rgl(path, known.batch([0]))
     with pytest.raises(UsageError, match="expected one material, found 3"):
         write_rgl(path, Lambert().batched(3))
-    with pytest.raises(UsageError, match="size: expected 4 to 512, found 1"):
+    with pytest.raises(UsageError, match="size: expected a whole number of at least 4, found 1"):
         write_rgl(path, Lambert(), size=1)
+    with pytest.raises(UsageError, match=r"angles: .* at least 4, found 8\.5$"):
+        write_rgl(path, Lambert(), angles=8.5)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="expected at most 16777216 nodes, found 32 x 1000 x 1000"):
+        write_rgl(path, Lambert(), size=1000)
     with pytest.raises(UsageError, match="expected a lobe or a Measured, found 'paint'"):
         write_rgl(path, "paint")  # type: ignore[arg-type]
     assert not any(tmp_path.iterdir())

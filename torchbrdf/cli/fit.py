@@ -76,6 +76,12 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--seed", type=whole(*SEEDS), default=0, help="seed of the subset (default 0)")
     parser.add_argument(
+        "--intervals",
+        default="gauss_newton",
+        help="95 %% intervals of parameters, in fits.json: gauss_newton (default; of losses of squares), bootstrap "
+        "(of 100 refits, too), none",
+    )
+    parser.add_argument(
         "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
     )
     parser.set_defaults(command=command)
@@ -88,12 +94,14 @@ def command(options: Options) -> int:
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import STRATEGIES, Batches
     from torchbrdf.fitting.api import DIFFUSE_MODES
+    from torchbrdf.fitting.intervals import check_method
     from torchbrdf.lobes import make_model, read_fits
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
     if options.diffuse is not None and options.diffuse not in DIFFUSE_MODES:
         raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
+    check_method(options.intervals)
     model = make_model(options.model, options.lobes)
     _check_loss(options)
     out = writable(options.out) if options.out else None
@@ -115,6 +123,7 @@ def command(options: Options) -> int:
         max_theta=options.max_theta,
         samples=options.samples,
         seed=options.seed,
+        intervals=options.intervals,
     )
     records = batches.run(groups, progress_bar("fits"))
     if batches.loss.scene_summary:

@@ -6,22 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
 from torchbrdf.export.tables import reach
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
-from torchbrdf.lobes.parameter import BoundedParameter
-from torchbrdf.lobes.parameter_dict import get_parameters, named_specs
+from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, outside_bounds
 from torchbrdf.measured import Measured, StandIn, load
 from torchbrdf.measured.load import find_files, format_of
 from torchbrdf.names import check_name, clean_name
 from torchbrdf.render import Mesh, find_mesh
 
-# How far beyond its bounds a parameter may be by rounding, as a share of it.
-ROUNDING = 1e-5
 # Of what is given without one.
 NAMELESS = "material"
 
@@ -170,19 +166,10 @@ def _checked(model: Lobe, where: str) -> Lobe:
     """The model, if it is one material with parameters within their bounds."""
     values = get_parameters(model)
     for name, spec in named_specs(model).items():
-        own = name.rpartition(".")[2]
         if values[name].dim() > len(spec.shape):
             count = values[name].shape[0]
             raise UsageError(f"{where}: expected one material, found a model of {count}; see torchbrdf.lobes.model_of")
-        beyond = _beyond(values[name].double(), spec)
-        if beyond is not None:
-            raise DataError(f"{where}: {own}: expected {spec.lower:g} to {spec.upper:g}, found {beyond:g}")
+    outside = outside_bounds(model)
+    if outside:
+        raise DataError(f"{where}: expected parameters within their bounds, found {outside[0]}")
     return model
-
-
-def _beyond(value: Tensor, spec: BoundedParameter) -> float | None:
-    """The first number that lies outside of the bounds."""
-    room_below, room_above = abs(spec.lower) * ROUNDING, abs(spec.upper) * ROUNDING
-    inside = (value >= spec.lower - room_below) & (value <= spec.upper + room_above)
-    outside = value[~inside]
-    return float(outside[0]) if len(outside) else None

@@ -11,6 +11,8 @@ from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
 from torchbrdf.export.mtlx import conductor, diffuse, ggx, inputs_of
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values
 from torchbrdf.files import write_text
+from torchbrdf.lobes import OpenPBR
+from torchbrdf.lobes.openpbr import _below_coat, _darkening, _eta
 
 # The sockets of Blender 4.0 and later that a material of reflections alone has, and what they may be.
 SOCKETS: dict[str, Limits] = {
@@ -67,6 +69,28 @@ def sockets(inputs: Values) -> Values:
     return found | {"Specular IOR Level": weight / 2 if isinstance(weight, float) else 0.5}
 
 
+def inputs_for_blender(lobe: OpenPBR) -> Values:
+    """OpenPBR's inputs with what Blender's node does not do done to them.
+
+    A metal's weight goes into the base colour, in its share. A coat makes the base rougher, changes its index of
+    refraction, and darkens it by what it throws back.
+    """
+    values = {name: getattr(lobe, name).detach() for name in lobe.parameter_specs}
+    weight, coat, coat_ior = (values[name] for name in ("specular_weight", "coat_weight", "coat_ior"))
+    metal = 1 + values["base_metalness"] * (weight - 1)
+    found = inputs_of(lobe) | {"base_color": (metal * values["base_color"]).tolist()}
+    if not coat.item() > 0:
+        return found
+    alpha = _below_coat(values["specular_roughness"], coat, values["coat_roughness"])
+    left = _darkening(**values) * (1 + coat * (values["coat_color"] - 1))
+    return found | {
+        "specular_roughness": alpha.sqrt().item(),
+        "specular_ior": _eta(weight, values["specular_ior"], coat, coat_ior).item(),
+        "specular_weight": 1.0,
+        "coat_color": (1 + (left - 1) / coat).clamp(0, 1).tolist(),
+    }
+
+
 def _diffuse(lobe: Any) -> Values:
     return sockets(diffuse(lobe))
 
@@ -80,8 +104,8 @@ BLENDER = Target(
     title="Blender's Principled BSDF",
     limits=SOCKETS,
     model="openpbr",
-    translated=lambda lobe: sockets(inputs_of(lobe)),
-    differs="OpenPBR's parameters; Blender's layers are mixed in a way of its own",
+    translated=lambda lobe: sockets(inputs_for_blender(lobe)),
+    differs="as OpenPBR, but its layers are mixed in a way of its own",
     simple={
         "lambert": _diffuse,
         "ggx": lambda lobe: _metal(ggx(lobe)),

@@ -37,7 +37,8 @@ def picture_differences(
     """
     measures = {name: DIFFERENCES[name]() for name in differences}
     reference, picture = render([brdf, shown], scene)
-    tone = ToneMap.from_images(reference, scene.mask)
+    black = not (reference[scene.mask] > 0).any()  # of which there is no tone map
+    tone = ToneMap.from_images(torch.ones_like(reference) if black else reference, scene.mask)
     pairs = {False: (tone(picture), tone(reference)), True: (picture, reference)}
     with torch.no_grad():
         return {

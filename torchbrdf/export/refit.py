@@ -15,8 +15,9 @@ from torchbrdf.measured.merl import bin_centers
 from torchbrdf.solvers import Status
 
 LOSS = "compressed"
-# Pairs at which a model's own values are fitted.
-SAMPLES = 20_000
+# Pairs of directions that are fitted, and their largest angle from the normal, in degrees.
+SAMPLES = 5_000
+MAX_THETA = 80.0
 # Ends of a fit after which there is a model.
 ENDED = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
 
@@ -26,7 +27,7 @@ class Refit(NamedTuple):
 
     Attributes:
         model: Not batched.
-        error: Under the loss named `LOSS`, on pairs of at most 80 degrees.
+        error: Under the loss named `LOSS`, on the pairs that were fitted.
         note: What was done, in one line.
     """
 
@@ -54,13 +55,19 @@ def refit(material: Material, model: str) -> Refit:
         >>> refit(Material("grey", GGX(specular=0.5, roughness=0.3)), "beckmann").error < 0.2
         True
     """
-    measured = material.brdf if isinstance(material.brdf, Measured) else _values_of(material.brdf, material.name)
-    result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=SAMPLES)
+    measured = _some(material.brdf) if isinstance(material.brdf, Measured) else _values_of(material.brdf, material.name)
+    result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=None, max_theta=MAX_THETA)
     (status,), (reason,), error = result.status, result.reason, result.error.item()
     if status not in ENDED:
         raise DataError(f"{material.name}: cannot be refitted as {model}: {reason}")
     early = "" if status == Status.CONVERGED else f"; not converged: {reason}"
     return Refit(_first(result.model), error, f"refitted as {model} under {LOSS}: error {error:.3g}{early}")
+
+
+def _some(measured: Measured) -> Measured:
+    """Some of what was measured."""
+    measured = measured.within(MAX_THETA)
+    return measured.batch(samples=stratified(len(measured.pairs), SAMPLES, seed=0))
 
 
 def _values_of(model: Lobe, name: str) -> Measured:

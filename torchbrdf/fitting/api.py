@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.fitting.intervals import GAUSS_NEWTON, Intervals, check_method, find_intervals, joined_intervals
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
@@ -51,6 +52,7 @@ def fit(
     samples: int | None = 20_000,
     seed: int = 0,
     max_iterations: int = 300,
+    intervals: str = GAUSS_NEWTON,
     progress: Progress = quiet,
 ) -> FitResult:
     """Fit a model to every material of `measured` under a loss.
@@ -77,6 +79,8 @@ def fit(
             every valid pair; both errors are reported.
         seed: of that subset.
         max_iterations: of the solver in each stage.
+        intervals: of the parameters, 95 %: "gauss_newton", for losses of squares, which costs nothing; "bootstrap" adds
+            those of 100 refits, for losses of BRDF values; "none". See [Fit](how-to/fit.md).
         progress: called with the number of materials done, as they are done.
 
     Returns:
@@ -104,6 +108,7 @@ def fit(
     began = time.perf_counter()
     if isinstance(strategy, str):
         STRATEGIES[strategy]
+    check_method(intervals)
     loss = as_loss(loss)
     diffuse = diffuse_mode(diffuse, loss, model)
     if loss.objective == "autograd" or not loss.has_closed_derivatives:
@@ -125,7 +130,7 @@ def fit(
     free_components = [part for k, part in enumerate(model.components()) if k not in held]
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
-    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations)
+    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals)
     found: list[tuple[list[int], _Fitted | Lost]] = []
     for rows, one in parallel_map(work, measured):
         found.append((rows, one))
@@ -151,6 +156,7 @@ def fit(
         seed=seed,
         scene=loss.scene_summary,
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
+        intervals=joined_intervals([(one.values, one.intervals) for one in done]),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -215,6 +221,7 @@ class _Fitted(NamedTuple):
     error: Tensor
     subset_error: Tensor
     counts: Tensor
+    intervals: dict[str, Intervals]
 
 
 @dataclass
@@ -228,6 +235,7 @@ class _FitSome:
     strategy: str | Strategy
     fit_diffuse: bool
     max_iterations: int
+    intervals: str
 
     def __call__(self, rows: list[int], measured: Measured) -> _Fitted:
         """The fits of these rows of all materials, of which `measured` is that part."""
@@ -243,7 +251,9 @@ class _FitSome:
         fitted = with_parameters(part, outcome.values)
         error = errors([fitted], whole, [loss])[0, 0]
         subset_error = error if some is None else errors([fitted], some, [loss])[0, 0]
-        return _Fitted(get_parameters(fitted), outcome, error, subset_error, _counts(whole))
+        values, counts, free = get_parameters(fitted), _counts(whole), task.all_free(self.fit_diffuse)
+        intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
+        return _Fitted(values, outcome, error, subset_error, counts, intervals)
 
     def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:
         """What a loss asks of these materials: all of it, and the part that the solver sees, if that is not all."""
@@ -276,7 +286,7 @@ def _with_lost(
             lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
             values = take_materials(start, rows)
             starts = kept.outcome.starts if kept else 0
-            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none)
+            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {})
         done.append(one)
     return done
 

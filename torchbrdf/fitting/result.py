@@ -8,8 +8,10 @@ from typing import Any
 from torch import Tensor
 
 from torchbrdf.files import csv_text, write_text
+from torchbrdf.fitting.intervals import LEVEL, Intervals
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import FitRecord, Lobe, model_name, parameters, write_fits
+from torchbrdf.lobes.parameter_dict import with_parameters
 from torchbrdf.solvers import Status
 
 
@@ -35,6 +37,7 @@ class FitResult:
         seed: Of the subset.
         scene: What a rendered loss saw.
         chosen: Of each material, the loss whose fit was kept, where the strategy fits under several; else empty.
+        intervals: 95 % intervals of the parameters by the method that gave them.
         history: The stages.
 
     Example:
@@ -65,11 +68,16 @@ class FitResult:
     seed: int
     scene: str = ""
     chosen: list[str] = field(default_factory=list)
+    intervals: dict[str, Intervals] = field(default_factory=dict)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
         """One record a material, as `fits.json` holds them."""
         name, lobes = model_name(self.model)
+        ends = {
+            method: {"low": with_parameters(self.model, both.low), "high": with_parameters(self.model, both.high)}
+            for method, both in self.intervals.items()
+        }
         return [
             FitRecord(
                 material=material,
@@ -92,6 +100,7 @@ class FitResult:
                 scene=self.scene,
                 chosen=self.chosen[k] if self.chosen else "",
                 diffuse=self.diffuse,
+                intervals=_plain_intervals(ends, k),
                 iterations=sum(stage.iterations[k] for stage in self.history),
             )
             for k, material in enumerate(self.names)
@@ -100,6 +109,29 @@ class FitResult:
     def save(self, path: Path | str) -> None:
         """Write `fits.json`, of which `torchbrdf.read_fits` gives the records, and `torchbrdf.model_of` their model."""
         write_fits(path, self.records())
+
+
+def _plain_intervals(ends: dict[str, dict[str, Lobe]], material: int) -> dict[str, Any]:
+    """One material's intervals, as `fits.json` has them; nothing where there is not one."""
+    found = {
+        method: {end: _with_null(parameters(model, material)) for end, model in both.items()}
+        for method, both in ends.items()
+    }
+    found = {
+        method: both
+        for method, both in found.items()
+        if any(value is not None for value in _flat(both["low"]).values())
+    }
+    return {"level": LEVEL} | found if found else {}
+
+
+def _with_null(value: Any) -> Any:
+    """None in the place of nan."""
+    if isinstance(value, dict):
+        return {key: _with_null(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_null(item) for item in value]
+    return None if value is None or value != value else value
 
 
 def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:

@@ -21,7 +21,7 @@ from torchbrdf.lobes.openpbr import OpenPBR, openpbr
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
-from torchbrdf.lobes.records import FitRecord, model_of, read_fits, write_fits
+from torchbrdf.lobes.records import FitRecord, OutsideBoundsWarning, model_of, read_fits, write_fits
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.sum import Sum
@@ -48,6 +48,7 @@ __all__ = [
     "LowABC",
     "OpenPBR",
     "OrenNayar",
+    "OutsideBoundsWarning",
     "Principled",
     "RoughConductor",
     "ShiftedGamma",

@@ -11,7 +11,10 @@ import math
 import torch
 from torch import Tensor
 
+from torchbrdf.lobes._sloped import Value
 from torchbrdf.pairs import Pairs
+
+Table = tuple[tuple[float, float, float], ...]
 
 
 def lower_cosine(pairs: Pairs) -> Tensor:
@@ -24,60 +27,62 @@ def higher_cosine(pairs: Pairs) -> Tensor:
     return pairs.cached(higher_cosine, lambda: torch.maximum(pairs.cos_i, pairs.cos_o).clamp(0, 1))
 
 
-def ggx_albedo(cosine: Tensor, alpha: Tensor, f0: Tensor) -> Tensor:
+def ggx_albedo(cosine: Tensor, alpha: Value, f0: Value) -> Value:
     """Share of light that a GGX lobe with Schlick's Fresnel reflects; heights correlated.
 
     Source: the rational fit to a Monte Carlo integration in MaterialX 1.39, https://materialx.org.
     """
-    x, y = cosine, alpha
-    x2, y2, xy = x * x, y * y, x * y
-    square = x2 * y2
-    a = 0.1003 - 0.6303 * x + 9.748 * y - 2.038 * xy + 29.34 * x2 - 8.245 * y2
-    a = a - 26.44 * x2 * y + 19.99 * x * y2 - 5.448 * square
-    b = 0.9345 - 2.323 * x + 2.229 * y - 3.748 * xy + 1.424 * x2 - 0.7684 * y2
-    b = b + 1.436 * x2 * y + 0.2913 * x * y2 + 0.6286 * square
-    below_a = 1 - 1.765 * x + 8.263 * y + 11.53 * xy + 28.96 * x2 - 7.507 * y2
-    below_a = below_a - 36.11 * x2 * y + 15.86 * x * y2 + 33.37 * square
-    below_b = 1 + 0.2281 * x + 15.94 * y - 55.83 * xy + 13.08 * x2 + 41.26 * y2
-    below_b = below_b + 54.9 * x2 * y + 300.2 * x * y2 - 285.1 * square
-    return f0 * (a / below_a).clamp(0, 1) + (b / below_b).clamp(0, 1)
+    above = (0.1003, -0.6303, 29.34), (9.748, -2.038, -26.44), (-8.245, 19.99, -5.448)
+    below = (1.0, -1.765, 28.96), (8.263, 11.53, -36.11), (-7.507, 15.86, 33.37)
+    normal = _ratio(cosine, alpha, above, below)
+    above = (0.9345, -2.323, 1.424), (2.229, -3.748, 1.436), (-0.7684, 0.2913, 0.6286)
+    below = (1.0, 0.2281, 13.08), (15.94, -55.83, 54.9), (41.26, 300.2, -285.1)
+    return normal * f0 + _ratio(cosine, alpha, above, below)
 
 
-def charlie_albedo(cosine: Tensor, alpha: Tensor) -> Tensor:
+def charlie_albedo(cosine: Tensor, alpha: Value) -> Value:
     """Share of light that the sheen `charlie` reflects.
 
     Source: the rational fit to a Monte Carlo integration in MaterialX 1.39, https://materialx.org.
     """
-    x, y = cosine, alpha
-    above = 13.673 - 68.78018 * x + 799.08825 * y - 905.00061 * x * y + 60.28956 * x * x + 1086.96473 * y * y
-    below = 1 + 61.57746 * x + 442.78211 * y + 2597.49308 * x * y + 121.81241 * x * x + 3045.55075 * y * y
-    return (above / below).clamp(0, 1)
+    above = (13.673, -68.78018, 60.28956), (799.08825, -905.00061, 0.0), (1086.96473, 0.0, 0.0)
+    below = (1.0, 61.57746, 121.81241), (442.78211, 2597.49308, 0.0), (3045.55075, 0.0, 0.0)
+    return _ratio(cosine, alpha, above, below)
 
 
-def fuzz_albedo(cosine: Tensor, roughness: Tensor) -> Tensor:
-    """Share of light that `fuzz` reflects.
+def _ratio(x: Tensor, y: Value, above: Table, below: Table) -> Value:
+    """Of two polynomials, within 0 and 1; a table has a row for each power of y, in which each is by powers of x."""
+    return (_polynomial(x, y, above) / _polynomial(x, y, below)).clamp(0, 1)
 
-    Source: as that; the fit is that of MaterialX 1.39, https://materialx.org.
-    """
-    y = roughness
+
+def _polynomial(x: Tensor, y: Value, table: Table) -> Value:
+    # The powers of y first, which are one number a material.
+    first, second, third = (y * (y * high + middle) + low for low, middle, high in zip(*table, strict=True))
+    return first + x * (second + x * third)
+
+
+def fuzz_albedo(cosine: Tensor, y: Value) -> Value:
+    """Share of light that `fuzz` of the roughness y reflects, by the fit of MaterialX 1.39, https://materialx.org."""
     width = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
     middle = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)
     least = y * (0.000654023 + y * (-0.0207818 + 0.119681 * y)) / (1.26264 + y * (-1.92021 + y))
-    away = ((cosine - middle) / width).square()
-    return (-0.5 * away.clamp_max(150)).exp() / (width * math.sqrt(2 * math.pi)) + least
+    away = ((cosine - middle) / width) ** 2
+    # Beyond 150 it is nothing.
+    return (away.clamp(0, 150) * -0.5).exp() / (width * math.sqrt(2 * math.pi)) + least
 
 
-def fuzz(pairs: Pairs, roughness: Tensor) -> Tensor:
+def fuzz(pairs: Pairs, y: Value) -> Value:
     """Light that fibres scatter: a cosine that is transformed linearly, times `fuzz_albedo`, the viewer the lower one.
 
     Source: T. Zeltner, B. Burley and M. J.-Y. Chiang, Practical Multiple-Scattering Sheen Using Linearly Transformed
     Cosines, 2022, doi:10.1145/3532836.3536240; its matrix in the rational fit of MaterialX 1.39.
     """
-    x, light, y = lower_cosine(pairs), higher_cosine(pairs), roughness
+    x, light = lower_cosine(pairs), higher_cosine(pairs)
     a = (2.58126 * x + 0.813703 * y) * y / (1 + 0.310327 * x * x + 2.60994 * x * y)
     # b is sqrt(1 - x) times this; the light's tangent along the viewer's is slant / sin, sin = sqrt(1 - x^2).
     b = (y - 1) * y**3 / (0.0000254053 + 1.71228 * x - 1.71506 * x * y + 1.34174 * y * y)
     slant = 2 * pairs.cos_d.square() - 1 - pairs.cos_i * pairs.cos_o
-    square, height = a * a, light * light
-    length = square * (1 - height) + 2 * a * b * slant * light / (1 + x).sqrt() + (b * b * (1 - x) + 1) * height
-    return fuzz_albedo(x, y) / math.pi * (a / length).square()
+    height = light.square()
+    along = 2 * slant * light / (1 + x).sqrt()
+    length = a * a * (1 - height) + a * b * along + (b * b * (1 - x) + 1) * height
+    return fuzz_albedo(x, y) * (a / length) ** 2 * (1 / math.pi)

@@ -69,6 +69,16 @@ def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
     return 0.5 * a.square() * (1 + b.square())
 
 
+def dielectric_derivative(ior: Tensor, cos_d: Tensor) -> Tensor:
+    """The derivative of `dielectric` by n."""
+    g, a, b = _fresnel_terms(ior, cos_d)
+    # Derivatives by g; that of g by the index is n / g.
+    slope_a = 2 * cos_d / (g + cos_d).square()
+    slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
+    slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
+    return slope * (ior / g)
+
+
 def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """g, a and b of `dielectric`; g - cos_d is (n^2 - 1) / (g + cos_d), which cancels nothing."""
     excess = (ior - 1) * (ior + 1)
@@ -122,16 +132,11 @@ class LowABC(Lobe):
         sharpness, exponent, ior = scalars
         one_minus_cos, cos_d = one_minus_cos_h(pairs), pairs.cos_d
         facets = _facets(pairs, sharpness, exponent)
-        g, a, b = _fresnel_terms(ior, cos_d)
-        shape = facets * (0.5 * a.square() * (1 + b.square()))
+        shape = facets * dielectric(ior, cos_d)
         scaled = sharpness * one_minus_cos
-        # Derivatives by g; that of g by the index is ior / g.
-        slope_a = 2 * cos_d / (g + cos_d).square()
-        slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
-        slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
         return [
             shape,
             shape * (-exponent * one_minus_cos / (1 + scaled)),
             -shape * torch.log1p(scaled),
-            facets * (slope * (ior / g)),
+            facets * dielectric_derivative(ior, cos_d),
         ]

@@ -37,6 +37,24 @@ def schlick_weight(pairs: Pairs) -> Tensor:
     return pairs.cached(schlick_weight, lambda: _fifth(pairs.cos_d))
 
 
+def f82_weight(pairs: Pairs) -> Tensor:
+    """cos_d (1 - cos_d)^6 over its largest value, that at cos_d = 1/7, `(..., N)`."""
+
+    def make() -> Tensor:
+        cosine = pairs.cos_d
+        return schlick_weight(pairs) * (1 - cosine) * cosine * (7 * (7 / 6) ** 6)
+
+    return pairs.cached(f82_weight, make)
+
+
+def f82_colours(f0: Tensor, tint: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """What 1, `schlick_weight` and `f82_weight` are multiplied by in F.
+
+    Its value where cos_d = 1/7 is tint times Schlick's.
+    """
+    return f0, 1 - f0, (tint - 1) * (f0 + (1 - f0) * (6 / 7) ** 5)
+
+
 def _fifth(cos_d: Tensor) -> Tensor:
     rest = 1 - cos_d
     return rest.square().square() * rest

@@ -6,10 +6,9 @@ from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
 from torchbrdf.lobes._smith import ggx_visibility, ggx_visibility_and_log_derivative
-from torchbrdf.lobes._terms import f82_colours, f82_weight
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
-from torchbrdf.lobes.fresnel import schlick_weight
+from torchbrdf.lobes.fresnel import f82_colours, f82_weight, schlick_weight
 from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.lobes.separable import Slopes, columns, value_of

@@ -1,19 +1,18 @@
 """The material of glTF 2.0: metallic-roughness with specular, index of refraction, clear coat and sheen."""
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes._layers import charlie_albedo, lower_cosine
-from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes._smith import ggx_visibility
-from torchbrdf.lobes.base import LOBES, Lobe
+from torchbrdf.lobes._layers import charlie_albedo, higher_cosine, lower_cosine
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, chain, facets, larger, number
+from torchbrdf.lobes._smith import ggx_visibility_and_log_derivative
+from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.charlie import Charlie
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import schlick, schlick_weight
-from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.parameter import BoundedParameter, share
 from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
@@ -68,14 +67,14 @@ def gltf(
         >>> angle, red, white = torch.full((1,), 0.2), torch.tensor([0.8, 0.1, 0.1]), torch.ones(3)
         >>> pairs, (none, half, n) = Pairs.from_half_diff(angle, angle, angle), torch.tensor([[0.0], [0.5], [1.5]])
         >>> gltf(pairs, red, none, half, half, white, n, none, half, 0 * red, half)
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2604, 0.0421, 0.0421]])
     """
     rest = (clearcoat, clearcoat_roughness, sheen_color, sheen_roughness)
     return value_of(GLTF)(pairs, base_color, metallic, roughness, specular, specular_color, ior, *rest)
 
 
 @LOBES.register("gltf")
-class GLTF(Lobe):
+class GLTF(LayeredMaterial):
     """The metallic-roughness material of glTF 2.0, a whole material.
 
     With the extensions specular, ior, clearcoat and sheen. Left out, as they are no opaque, isotropic reflection of one
@@ -114,25 +113,24 @@ class GLTF(Lobe):
         start=0.5, lower=0.1, upper=1.0, doc="the square root of the sheen's alpha"
     )
     function = staticmethod(gltf)
-    is_material: ClassVar[bool] = True
     scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
 
     @classmethod
-    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Coat; sheen; the two of diffuse and the two of specular reflection, each by 1 - E and by E."""
         roughness, clearcoat, coat_roughness, sheen_roughness = scalars
-        viewer = lower_cosine(pairs)
+        viewer, fifth = lower_cosine(pairs), schlick_weight(pairs)
         blend = clearcoat * schlick(viewer.new_tensor(0.04), viewer)
-        below, alpha = 1 - blend, sheen_roughness.square()
-        scattered = torch.maximum(charlie_albedo(pairs.cos_i, alpha), charlie_albedo(pairs.cos_o, alpha))
-        facets, fifth = _facets(pairs, roughness), schlick_weight(pairs)
-        base = [torch.full_like(fifth, 1 / math.pi), (1 - fifth) / math.pi, facets * (1 - fifth), facets * fifth]
-        return [
-            blend * _facets(pairs, coat_roughness),
-            below * Charlie.unit_response(pairs, alpha),
-            *(below * (1 - scattered) * one for one in base),
-            *(below * scattered * one for one in base),
-        ]
+        below, alpha = 1 - blend, sheen_roughness**2
+        sheen, slope = Charlie.value_and_jacobian(pairs, number(alpha))
+        scattered = _scattered(pairs, alpha)
+        main = facets(pairs, roughness**2, ggx_visibility_and_log_derivative)
+        coat = facets(pairs, coat_roughness**2, ggx_visibility_and_log_derivative)
+        lambert = torch.full_like(fifth, 1 / math.pi)
+        base = [lambert, lambert * (1 - fifth), main * (1 - fifth), main * fifth]
+        left, taken = below * (1 - scattered), below * scattered
+        over = [blend * coat, below * chain(alpha, sheen, lambda: slope)]
+        return [*over, *(left * one for one in base), *(taken * one for one in base)]
 
     @classmethod
     def coefficients(cls, **parameters: Tensor) -> Tensor:
@@ -151,7 +149,6 @@ class GLTF(Lobe):
         return columns(torch.ones_like(color), sheen, *base, *(left * one for one in base))
 
 
-def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
-    """D G / (4 cos_i cos_o) of a roughness that is the square root of a."""
-    alpha = roughness.square()
-    return ggx_distribution(alpha, tangent(pairs)) * ggx_visibility(pairs, alpha)
+def _scattered(pairs: Pairs, alpha: Value) -> Value:
+    """Share of light that the sheen takes, of the direction from which it takes more."""
+    return larger(charlie_albedo(lower_cosine(pairs), alpha), charlie_albedo(higher_cosine(pairs), alpha))

@@ -1,24 +1,21 @@
 """OpenPBR's opaque surface: diffuse and metal base, specular, coat and fuzz."""
 
-from typing import ClassVar
+from functools import partial
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._layers import fuzz, fuzz_albedo, ggx_albedo, lower_cosine
-from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes._smith import ggx_visibility
-from torchbrdf.lobes._terms import f82_colours, f82_weight
-from torchbrdf.lobes.abc_distribution import dielectric
-from torchbrdf.lobes.base import LOBES, Lobe
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, facets, fresnel_of, larger, root
+from torchbrdf.lobes._smith import ggx_visibility_and_log_derivative
+from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.eon import EON
 from torchbrdf.lobes.evaluation import half_in_float32
-from torchbrdf.lobes.fresnel import schlick_weight
-from torchbrdf.lobes.ggx import ggx_distribution
+from torchbrdf.lobes.fresnel import f82_colours, f82_weight, schlick_weight
 from torchbrdf.lobes.parameter import BoundedParameter, share
 from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
-from torchbrdf.roots import safe_sqrt
 
 
 @half_in_float32
@@ -80,7 +77,7 @@ def openpbr(
         >>> from torchbrdf.lobes import OpenPBR
         >>> angle = torch.full((1,), 0.2)
         >>> OpenPBR(base_color=[0.8, 0.1, 0.1])(Pairs.from_half_diff(angle, angle, angle)).detach()
-        tensor([[0.0, 0.0, 0.0]])
+        tensor([[0.2493, 0.0340, 0.0340]])
     """
     base = (base_color, base_diffuse_roughness, base_metalness)
     specular = (specular_weight, specular_color, specular_roughness, specular_ior)
@@ -101,7 +98,7 @@ def _ior(start: float, doc: str) -> BoundedParameter:
 
 
 @LOBES.register("openpbr")
-class OpenPBR(Lobe):
+class OpenPBR(LayeredMaterial):
     """OpenPBR's opaque surface, a whole material.
 
     `base_weight`, which only multiplies the base colour, is 1. Left out, as they are no opaque, isotropic reflection of
@@ -135,29 +132,31 @@ class OpenPBR(Lobe):
     fuzz_color: BoundedParameter = _color(0.5, "its colour, per channel")
     fuzz_roughness: BoundedParameter = BoundedParameter(start=0.5, lower=0.01, upper=1.0, doc="its roughness")
     function = staticmethod(openpbr)
-    is_material: ClassVar[bool] = True
     scalars_of_terms: ClassVar[tuple[str, ...]] = (
         *("base_diffuse_roughness", "specular_weight", "specular_roughness", "specular_ior"),
         *("coat_weight", "coat_roughness", "coat_ior", "fuzz_weight", "fuzz_roughness"),
     )
 
     @classmethod
-    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Fuzz; coat; a dielectric's specular reflection; EON's two terms; the three of F82."""
         rough, weight, roughness, ior, coat, coat_roughness, coat_ior, fuzz_weight, fuzz_roughness = scalars
-        viewer = lower_cosine(pairs)
-        below_fuzz = (1 - fuzz_weight * fuzz_albedo(viewer, fuzz_roughness)).clamp_min(0)
-        coat_alpha = coat_roughness.square()
-        below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior))).clamp_min(0)
-        alpha, eta = _below_coat(roughness, coat, coat_roughness), _eta(weight, ior, coat, coat_ior)
-        facets = below * _facets(pairs, alpha)
-        diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta))).clamp_min(0)
+        viewer, smith = lower_cosine(pairs), ggx_visibility_and_log_derivative
+        taken = fuzz_albedo(viewer, fuzz_roughness)
+        below_fuzz, coat_alpha = 1 - fuzz_weight * taken, coat_roughness**2
+        below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior)))
+        alpha = _below_coat(roughness, coat, coat_roughness)
+        eta = _eta(weight, ior, coat, coat_ior)
+        main = below * facets(pairs, alpha, smith)
+        diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta)))
         return [
             fuzz_weight * fuzz(pairs, fuzz_roughness),
-            below_fuzz * coat * _facets(pairs, coat_alpha) * dielectric(coat_ior, pairs.cos_d),
-            facets * dielectric(eta, pairs.cos_d),
-            *(diffuse * term for term in EON.terms(pairs, rough)),
-            *(facets * one for one in (1, schlick_weight(pairs), f82_weight(pairs))),
+            below_fuzz * (coat * (facets(pairs, coat_alpha, smith) * fresnel_of(pairs, coat_ior))),
+            main * fresnel_of(pairs, eta),
+            *(diffuse * term for term in _body(pairs, rough)),
+            main,
+            main * schlick_weight(pairs),
+            main * f82_weight(pairs),
         ]
 
     @classmethod
@@ -176,26 +175,30 @@ class OpenPBR(Lobe):
         )
 
 
-def _facets(pairs: Pairs, alpha: Tensor) -> Tensor:
-    return ggx_distribution(alpha, tangent(pairs)) * ggx_visibility(pairs, alpha)
+def _f0(ior: Value) -> Value:
+    return ((ior - 1) / (ior + 1)) ** 2
 
 
-def _f0(ior: Tensor) -> Tensor:
-    return ((ior - 1) / (ior + 1)).square()
+def _body(pairs: Pairs, roughness: Value) -> list[Value]:
+    """The terms of EON."""
+    if isinstance(roughness, Tensor):
+        return EON.terms(pairs, roughness)
+    terms, (slopes,) = EON.terms_and_jacobian(pairs, roughness.value)
+    return [roughness.chain(term, partial(torch.as_tensor, slope)) for term, slope in zip(terms, slopes, strict=True)]
 
 
-def _below_coat(roughness: Tensor, coat: Tensor, coat_roughness: Tensor) -> Tensor:
+def _below_coat(roughness: Value, coat: Value, coat_roughness: Value) -> Value:
     """alpha of the base, which looks rougher through a rough coat."""
-    rougher = (roughness**4 + 2 * coat_roughness**4).clamp_max(1) ** 0.25
-    return (roughness + coat * (rougher - roughness)).square()
+    rougher = (roughness**4 + 2 * coat_roughness**4).clamp(0, 1) ** 0.25
+    return (roughness + coat * (rougher - roughness)) ** 2
 
 
-def _eta(weight: Tensor, ior: Tensor, coat: Tensor, coat_ior: Tensor) -> Tensor:
+def _eta(weight: Value, ior: Value, coat: Value, coat_ior: Value) -> Value:
     """Index of refraction of the base, against the coat where that is present, whose F0 is scaled by the weight."""
-    against = torch.maximum(ior / coat_ior, coat_ior / ior)
+    against = larger(ior / coat_ior, coat_ior / ior)
     eta = ior + coat * (against - ior)
-    root = safe_sqrt(weight) * (eta - 1) / (eta + 1)
-    return (1 + root) / (1 - root)
+    scaled = root(weight) * ((eta - 1) / (eta + 1))
+    return (1 + scaled) / (1 - scaled)
 
 
 def _darkening(**parameters: Tensor) -> Tensor:

@@ -73,3 +73,16 @@ def with_parameters(model: AnyLobe, values: ParameterDict) -> AnyLobe:
 def take_materials(values: ParameterDict, rows: Tensor | list[int] | slice) -> ParameterDict:
     """The parameters of some materials, by index."""
     return {name: value[rows] for name, value in values.items()}
+
+
+def outside_bounds(model: Lobe) -> list[str]:
+    """Which parameters are outside of their bounds by more than rounding, each in words."""
+    found = []
+    for component in model.components():
+        for name, spec in component.parameter_specs.items():
+            value = getattr(component, name).detach().flatten()
+            slack = 1e-6 * max(abs(spec.lower), abs(spec.upper))
+            low, high = spec.lower - min(slack, 1e-3 * abs(spec.lower)), spec.upper + slack
+            outside = value[(value < low) | (value > high)].tolist()
+            found += [f"{name} {outside[0]:g}, not {spec.lower:g} to {spec.upper:g}"] if outside else []
+    return found

@@ -1,18 +1,18 @@
 """Disney's principled material as Mitsuba 3 has it, without transmission and anisotropy."""
 
 import math
-from typing import ClassVar
+from functools import partial
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
+from torchbrdf.lobes._sloped import LayeredMaterial, Value, chain, facets, fresnel_of, number, root
 from torchbrdf.lobes._smith import ggx_separable_visibility_and_log_derivative
-from torchbrdf.lobes.abc_distribution import dielectric
-from torchbrdf.lobes.base import LOBES, Lobe
+from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
-from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.parameter import BoundedParameter, share
 from torchbrdf.lobes.separable import columns, value_of
 from torchbrdf.pairs import Pairs
@@ -87,37 +87,66 @@ def _tint(base: Tensor) -> Tensor:
     return torch.where(dark, 1, base / torch.where(dark, 1, luminance))
 
 
-def _eta(specular: Tensor) -> Tensor:
+def _eta(specular: Value) -> Value:
     """The index of refraction."""
-    return 2 / (1 - (0.08 * specular).sqrt()) - 1
+    return 2 / (1 - root(0.08 * specular)) - 1
 
 
-def _diffuse(pairs: Pairs, roughness: Tensor, flatness: Tensor) -> Tensor:
-    """Burley's diffuse reflection and its retro-reflection, blended to Hanrahan and Krueger's."""
-    cos_i, cos_o = pairs.cos_i.clamp(0, 1), pairs.cos_o.clamp(0, 1)
-    at_i, at_o = (1 - cos_i) ** 5, (1 - cos_o) ** 5
-    back = 2 * roughness * pairs.cos_d.square()
-    smooth = (1 - 0.5 * at_i) * (1 - 0.5 * at_o)
-    rough = smooth + back * (at_i + at_o + at_i * at_o * (back - 1))
-    half = 0.5 * back - 1
-    flat = (1 + half * at_i) * (1 + half * at_o)
-    flat = 1.25 * (flat * (safe_ratio(1, cos_i + cos_o) - 0.5) + 0.5)
-    return (rough + flatness * (flat - rough)) / math.pi
+def _diffuse(pairs: Pairs, roughness: Value, flatness: Value) -> Value:
+    """Burley's diffuse reflection and its retro-reflection, blended to Hanrahan and Krueger's.
+
+    With s and p the sum and the product of both directions' (1 - cos)^5, and q = roughness cos_d^2, they are, but for
+    1 / pi, 1 - s / 2 + p / 4 + 2 q (s - p + 2 p q) and
+    1.25 ((1 + (q - 1) s + (q - 1)^2 p) (1 / (cos_i + cos_o) - 1/2) + 1/2).
+    """
+    total, product = pairs.cached(_sum, partial(_sum, pairs)), pairs.cached(_product, partial(_product, pairs))
+    q, lift = roughness * pairs.cos_d.square(), pairs.cached(_lift, partial(_lift, pairs))
+    rough = 2 * q * (2 * product * q + (total - product)) + (1 - total / 2 + product / 4)
+    less = q - 1
+    flat = 1.25 * (less * (less * product + total) + 1) * lift + 0.625
+    return (rough + flatness * (flat - rough)) * (1 / math.pi)
 
 
-def _clearcoat(pairs: Pairs, gloss: Tensor) -> Tensor:
-    width = 0.1 - 0.099 * gloss
+def _fifths(pairs: Pairs) -> tuple[Tensor, Tensor]:
+    rests = [1 - cosine.clamp(0, 1) for cosine in (pairs.cos_i, pairs.cos_o)]
+    first, second = (rest.square().square() * rest for rest in rests)
+    return first, second
+
+
+def _sum(pairs: Pairs) -> Tensor:
+    first, second = _fifths(pairs)
+    return first + second
+
+
+def _product(pairs: Pairs) -> Tensor:
+    first, second = _fifths(pairs)
+    return first * second
+
+
+def _lift(pairs: Pairs) -> Tensor:
+    return safe_ratio(1, pairs.cos_i.clamp(0, 1) + pairs.cos_o.clamp(0, 1)) - 0.5
+
+
+def _clearcoat(pairs: Pairs, gloss: Value) -> Value:
+    """Of the width w the distribution is (1 + tan2_h) / (w^2 + tan2_h) (w^2 - 1) / (pi log(w^2))."""
+    width = 0.1 - 0.099 * number(gloss)
     square, tan2 = width.square(), tangent(pairs)
-    facets = (1 + tan2) / (square + tan2) * ((square - 1) / (math.pi * square.log()))
-    shadow = width.new_tensor(_COAT_SHADOW)
-    visibility, _ = ggx_separable_visibility_and_log_derivative(pairs, shadow)
-    # Mitsuba's has no 1 / (4 cos_i cos_o), but G.
-    masked = visibility * (4 * pairs.cos_i * pairs.cos_o)
-    return 0.25 * facets * masked * fresnel(width.new_tensor(0.04), pairs)
+    log = square.log()
+    value = pairs.cached(_coat, partial(_coat, pairs)) / (square + tan2) * ((square - 1) / log)
+    return chain(
+        gloss, value, lambda: value * (1 / (square - 1) - 1 / (square * log) - 1 / (square + tan2)) * (-0.198 * width)
+    )
+
+
+def _coat(pairs: Pairs) -> Tensor:
+    """What of the clear coat depends on pairs alone. Mitsuba's has no 1 / (4 cos_i cos_o), but G."""
+    visibility, _ = ggx_separable_visibility_and_log_derivative(pairs, pairs.cos_d.new_tensor(_COAT_SHADOW))
+    masked = visibility * (pairs.cos_i * pairs.cos_o) * (1 + tangent(pairs))
+    return masked * fresnel(pairs.cos_d.new_tensor(0.04), pairs) / math.pi
 
 
 @LOBES.register("principled")
-class Principled(Lobe):
+class Principled(LayeredMaterial):
     """Disney's principled material as Mitsuba 3's `principled`, a whole material, opaque and isotropic.
 
     Left out: `anisotropic` and `spec_trans`, which are 0.
@@ -150,22 +179,20 @@ class Principled(Lobe):
     clearcoat_gloss: BoundedParameter = share(0.5, "how sharp the clear coat is")
     flatness: BoundedParameter = share(0.0, "share of flat diffuse reflection")
     function = staticmethod(principled)
-    is_material: ClassVar[bool] = True
     scalars_of_terms: ClassVar[tuple[str, ...]] = ("roughness", "specular", "clearcoat_gloss", "flatness")
 
     @classmethod
-    def terms(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+    def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
         """Diffuse reflection, sheen, Fresnel's specular reflection, Schlick's two terms, clear coat."""
         roughness, specular, gloss, flatness = scalars
-        alpha = roughness.square().clamp_min(0.001)
-        visibility, _ = ggx_separable_visibility_and_log_derivative(pairs, alpha)
-        facets, fifth = ggx_distribution(alpha, tangent(pairs)) * visibility, schlick_weight(pairs)
+        alpha, fifth = (roughness**2).clamp(0.001, math.inf), schlick_weight(pairs)
+        main = facets(pairs, alpha, ggx_separable_visibility_and_log_derivative)
         return [
             _diffuse(pairs, roughness, flatness),
             fifth,
-            facets * dielectric(_eta(specular), pairs.cos_d),
-            facets,
-            facets * fifth,
+            main * fresnel_of(pairs, _eta(specular)),
+            main,
+            main * fifth,
             _clearcoat(pairs, gloss),
         ]
 

@@ -1,6 +1,7 @@
 """Fitted models as files: a list of records, each a material, a model and its parameters (`fits.json`)."""
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -12,7 +13,7 @@ from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.files import write_json
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.model import JOIN, SHARE, from_parameters, model_name
-from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
+from torchbrdf.lobes.parameter_dict import get_parameters, outside_bounds, with_parameters
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
@@ -33,6 +34,15 @@ TEXTS = {
 }  # fmt: skip
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
+
+
+class OutsideBoundsWarning(UserWarning):
+    """A file of fits has parameters that no fit would end at; they are kept as they are.
+
+    Example:
+        >>> import warnings
+        >>> warnings.simplefilter("ignore", OutsideBoundsWarning)
+    """
 
 
 @dataclass
@@ -64,6 +74,8 @@ class FitRecord:
         iterations: Of the solver.
         errors: Errors on every valid pair by the name of a loss.
         outlier: Whether another loss's fit has the lower error under this one's loss: a local minimum.
+        intervals: Of parameters, their `level`, and by method (`gauss_newton`, `bootstrap`) `low` and `high` ends, as
+            `parameters` has values; None where there is none: held, at a bound, or at no minimum.
         differences: Image differences of its picture by name.
         pictures: The same for each of several scenes.
         extra: What a file says besides, which is kept.
@@ -100,6 +112,7 @@ class FitRecord:
     iterations: int = 0
     errors: dict[str, float] = field(default_factory=dict)
     outlier: bool | None = None
+    intervals: dict[str, Any] = field(default_factory=dict)
     differences: dict[str, float] = field(default_factory=dict)
     pictures: dict[str, dict[str, float]] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
@@ -113,7 +126,7 @@ class FitRecord:
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
         found["parameters"] = self.parameters
-        for key in ("errors", "outlier", "differences", "pictures"):
+        for key in ("intervals", "errors", "outlier", "differences", "pictures"):
             if not _is_default(self, key):
                 found[key] = getattr(self, key)
         return found | self.extra
@@ -217,7 +230,7 @@ def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:
 
 
 def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitRecord]:
-    """Read and check a `fits.json`.
+    """Read and check a `fits.json`. Parameters outside their bounds are kept, with an `OutsideBoundsWarning`.
 
     Args:
         path: The file.
@@ -254,9 +267,28 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
         )
         if bad is None:
             raise errors[k]
-    if bad is not None:
+    kept = list(found.values())
+    if bad is None:
+        _warn_outside(path, kept)
+    else:  # whoever takes what is bad one by one sees to parameters, too
         bad += [errors[k] for k in sorted(errors)]
-    return list(found.values())
+    return kept
+
+
+def _warn_outside(path: Path | str, records: Sequence[FitRecord]) -> None:
+    """One line for a file with parameters outside their bounds."""
+    models = [from_parameters(record.model, record.parameters, torch.float64) for record in records]
+    outside = [
+        (record.material, said) for record, model in zip(records, models, strict=True) for said in outside_bounds(model)
+    ]
+    if outside:
+        material, said = outside[0]
+        rest = f" (the first of {len(outside)})" if len(outside) > 1 else ""
+        warnings.warn(
+            f"{path}: parameters outside their bounds are kept as they are: {said}, of {material}{rest}",
+            OutsideBoundsWarning,
+            stacklevel=3,
+        )
 
 
 def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:

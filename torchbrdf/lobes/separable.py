@@ -1,5 +1,6 @@
 """Derivatives of lobes that are coefficients times terms, f_c = sum_j A_cj s_j, by forward differentiation."""
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -68,18 +69,19 @@ def coefficient_slopes(kind: "type[Lobe]", parameters: dict[str, Tensor]) -> dic
         >>> {name: slope.shape for name, slope in coefficient_slopes(Ward, values).items()}
         {'specular': torch.Size([4, 3, 1, 3])}
     """
-    found = {}
-    rows = len(next(iter(parameters.values())))
-    for name in pattern(kind).parameters:
-        size = parameters[name].shape[1]
-        unit = torch.eye(size, dtype=parameters[name].dtype, device=parameters[name].device)
-        with _FORWARD, forward_ad.dual_level():
-            own = {other: value.expand(size, -1, -1) for other, value in parameters.items()}
-            own[name] = forward_ad.make_dual(own[name].clone(), unit[:, None].expand(-1, rows, -1).clone())
-            tangent = forward_ad.unpack_dual(kind.coefficients(**own)).tangent
-        if tangent is not None:
-            found[name] = tangent.expand(size, rows, 3, -1).movedim(0, -1)
-    return found
+    # One pass back for all: a copy of the parameters for each coefficient, which takes its derivatives.
+    shape = (3, pattern(kind).terms)
+    rows, copies = len(next(iter(parameters.values()))), math.prod(shape)
+    with torch.inference_mode(False), torch.enable_grad():
+        own = {
+            name: value.detach().clone().expand(copies, -1, -1).clone().requires_grad_()
+            for name, value in parameters.items()
+        }
+        every = kind.coefficients(**own).expand(copies, rows, *shape).flatten(2)
+        wanted = [own[name] for name in pattern(kind).parameters]
+        found = torch.autograd.grad(every.diagonal(dim1=0, dim2=2).sum(), wanted, materialize_grads=True)
+    slopes = (one.reshape(*shape, rows, -1).movedim(2, 0) for one in found)
+    return dict(zip(pattern(kind).parameters, slopes, strict=True))
 
 
 def columns(*coefficients: Tensor) -> Tensor:
@@ -123,10 +125,11 @@ def pattern(kind: "type[Lobe]") -> Pattern:
         scalars = [starts[spec.name] for spec in kind.term_scalars()]
         values, slopes = kind.terms_and_jacobian(Pairs.from_half_diff(angle, angle, angle), *scalars)
         known = tuple(tuple(j for j, one in enumerate(own) if one is not None) for own in slopes)
-        _, changes = tangents(
-            lambda *own: [kind.coefficients(**dict(zip(starts, own, strict=True)))], [*starts.values()]
-        )
-        parameters = tuple(name for name, (one,) in zip(starts, changes, strict=True) if one is not None)
+        with torch.inference_mode(False), torch.enable_grad():
+            own = [start.clone().requires_grad_() for start in starts.values()]
+            total = kind.coefficients(**dict(zip(starts, own, strict=True))).sum()
+            changes = torch.autograd.grad(total, own, allow_unused=True)
+        parameters = tuple(name for name, one in zip(starts, changes, strict=True) if one is not None)
         _PATTERNS[kind] = Pattern(len(values), known, parameters)
     return _PATTERNS[kind]
 

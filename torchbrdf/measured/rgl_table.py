@@ -18,7 +18,8 @@ from torchbrdf.precision import undisturbed
 
 ANGLES, SIZE = 32, 96
 """Directions of wi, and nodes along either axis of the half vector's grid: 4.9 MB, in 1 to 3 seconds."""
-LARGEST_SIZE = 512
+LARGEST = 1 << 24
+"""Nodes of a table: 268 MB."""
 NORMALS, ROWS = 512, 2
 """Nodes of D, of sigma and of the warp's density: along theta_h, and along the azimuth, which they do not depend on."""
 HIGHEST = math.radians(89.5)
@@ -58,7 +59,8 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
             `16 angles size^2` bytes.
 
     Raises:
-        UsageError: The BRDF is none, or several materials; a resolution is out of range.
+        UsageError: The BRDF is none, or several materials; there are fewer than 4 angles or nodes, or more than 2^24
+            `angles size^2`.
         DataError: The BRDF is known only at its own samples; or the file cannot be written.
 
     Source: J. Dupuy, W. Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, 2018,
@@ -72,8 +74,10 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
         ['ggx']
     """
     for name, value in (("angles", angles), ("size", size)):
-        if not isinstance(value, int) or not 4 <= value <= LARGEST_SIZE:
-            raise UsageError(f"write_rgl: {name}: expected 4 to {LARGEST_SIZE}, found {shown(value)}")
+        if not isinstance(value, int) or value < 4:
+            raise UsageError(f"write_rgl: {name}: expected a whole number of at least 4, found {shown(value)}")
+    if angles * size**2 > LARGEST:
+        raise UsageError(f"write_rgl: expected at most {LARGEST} nodes, found {angles} x {size} x {size}")
     fields = {
         "version": np.array([1, 0], "u4"),
         "description": np.frombuffer(description.encode("utf-8", "replace") or b"BRDF", "u1"),

@@ -30,7 +30,9 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
     """
     check_single(brdf)
     found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
-    for part, chunk in chunks(pairs):
+    own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
+    device = None if own is None else own.device
+    for part, chunk in chunks(pairs.to(device)):
         value = brdf.at(chunk)[0] if isinstance(brdf, Measured) else brdf(chunk)[0]
         found[part] = torch.where(chunk.above_horizon[0, :, None] & value.isfinite(), value, 0).to(found)
     return found
@@ -42,7 +44,8 @@ def check_single(brdf: Brdf) -> None:
         count = len(brdf)
     elif isinstance(brdf, Lobe):
         up = torch.ones(1, 1, dtype=torch.float64, device="cpu")
-        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up)))
+        own = next(brdf.parameters(), up)
+        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up).to(own.device)))
     else:
         raise UsageError(f"a table: expected a lobe or a Measured, found {shown(brdf)}")
     if count != 1:
@@ -59,5 +62,5 @@ def measured_up_to(brdf: Brdf) -> float:
         return 90.0
     valid = brdf.weight[0, :, 0] > 0
     pairs = brdf.pairs.select([0])
-    lowest = [cosine[0][valid].min() for cosine in (pairs.cos_i, pairs.cos_o)]
-    return math.degrees(math.acos(max(lowest)))
+    lowest = [float(cosine[0][valid].min()) for cosine in (pairs.cos_i, pairs.cos_o)]
+    return math.degrees(math.acos(min(max(lowest), 1.0)))
