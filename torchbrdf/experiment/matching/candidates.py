@@ -10,6 +10,7 @@ from torchbrdf.experiment.labels import model_label
 from torchbrdf.lobes import LOBES, Lobe, make_model
 from torchbrdf.lobes.model import JOIN, component_kinds
 
+PICTURES = "rendered"
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
@@ -20,6 +21,8 @@ class Candidate:
     Args:
         model: As for `make_model`.
         lobes: As for `make_model`.
+        metrics: Losses of BRDF values that it is fitted under; None: the budget's, and pictures. Tables have a solver
+            of their own, for values only.
 
     Example:
         >>> Candidate("ggx", 2).label, Candidate("oren_nayar+ggx+ggx").label
@@ -28,6 +31,13 @@ class Candidate:
 
     model: str
     lobes: int | None = None
+    metrics: tuple[str, ...] | None = None
+
+    def losses(self, budget: "Budget") -> tuple[str, ...]:
+        """The names of the losses that it is fitted under; `PICTURES` for pictures."""
+        if self.metrics is not None:
+            return self.metrics
+        return (*([budget.metric] if budget.metric else []), PICTURES)
 
     def make(self) -> Lobe:
         """The model, at its start."""
@@ -63,8 +73,9 @@ def _counted(name: str, count: int) -> str:
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
 )
+TABLES = Candidate("distribution_based", 2, metrics=("compressed",))
 FEW = (Candidate("ggx", 1), Candidate("ggx", 2))
-USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3))
+USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3), TABLES)
 MANY = (
     Candidate("ggx", 1),
     Candidate("gtr", 1),
@@ -74,7 +85,7 @@ MANY = (
     Candidate("eon+ggx+ggx"),
     Candidate("ggx", 3),
     Candidate("gtr", 3),
-    Candidate("distribution_based", 1),
+    TABLES,
 )
 
 

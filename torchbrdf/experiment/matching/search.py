@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.experiment.matching.candidates import Budget, Candidate, candidates_for
+from torchbrdf.experiment.matching.candidates import PICTURES, Budget, Candidate, candidates_for
 from torchbrdf.experiment.matching.judge import Figures, Judge, Means
 from torchbrdf.experiment.matching.training import training_loss
 from torchbrdf.files import locked, write_json
@@ -156,17 +156,17 @@ def find_matches(
     candidates = candidates_for(target, budget)
     scenes = unseen_scenes(cache=cache) if scenes is None else scenes
     entries = _entries(groups, scenes, bad, out)
-    losses: dict[str, Loss] = {} if budget.metric is None else {budget.metric: make_loss(budget.metric)}
-    losses["rendered"] = training_loss(budget.size, budget.views, cache)
-    total = len(entries) * len(candidates) * len(losses)
+    pictures = training_loss(budget.size, budget.views, cache)
+    total, done = len(entries) * sum(len(one.losses(budget)) for one in candidates), 0
     for number, candidate in enumerate(candidates):
         left = [entry for entry in entries if budget.all_of_them or not entry.match.settled]
         if number and time.perf_counter() - began > budget.seconds:
             break
-        for turn, (name, loss) in enumerate(losses.items()):
+        for name in candidate.losses(budget):
+            loss = pictures if name == PICTURES else make_loss(name)
             place = None if out is None else out / f"{candidate.stem}-{name}{_tag(name, budget)}"
-            done = len(entries) * (number * len(losses) + turn) + len(entries) - len(left)
-            _try(candidate, loss, place, left, part_of(progress, done, total))
+            _try(candidate, loss, place, left, part_of(progress, done + len(entries) - len(left), total))
+            done += len(entries)
     if total:
         progress(total, total)
     found = []
@@ -191,7 +191,7 @@ class _Entry:
 
 def _tag(loss: str, budget: Budget) -> str:
     """What tells apart the fits to pictures of different budgets."""
-    return f"-{budget.size}-{budget.views}" if loss == "rendered" else ""
+    return f"-{budget.size}-{budget.views}" if loss == PICTURES else ""
 
 
 def _entries(

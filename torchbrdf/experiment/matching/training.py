@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from torchbrdf.losses import Loss
+from torchbrdf.precision import undisturbed
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, SideBySide, blob, sphere
 
 DIFFERENCE = "delta_e76"
@@ -10,8 +14,34 @@ DIFFERENCE = "delta_e76"
 _NODES, _RESOLUTION = 64, (24, 16, 12)
 
 
+@undisturbed()
+def lamps(height: int = 256, count: int = 24, seed: int = 3) -> Tensor:
+    """Round lamps of many sizes all around, the smaller the brighter: a latitude-longitude picture, linear.
+
+    Nearly every half angle is lit at nearly every angle of incidence, which no natural light does in one picture.
+
+    Args:
+        height: Of the picture, which is twice as wide.
+        count: How many lamps, half a width of 1.5 to 15 degrees each.
+        seed: Of where they are, their widths and colours.
+    """
+    generator = torch.Generator("cpu").manual_seed(seed)
+    polar = (torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * (torch.pi / height)
+    turn = (torch.arange(2 * height, dtype=torch.float32, device="cpu") + 0.5) * (torch.pi / height) - torch.pi
+    polar, turn = torch.meshgrid(polar, turn, indexing="ij")
+    toward = torch.stack([polar.sin() * turn.sin(), polar.cos(), -polar.sin() * turn.cos()], -1)
+    picture = torch.full_like(toward, 0.25)
+    for _ in range(count):
+        middle = torch.nn.functional.normalize(torch.randn(3, generator=generator, device="cpu"), dim=0)
+        width = 1.5 * 10 ** float(torch.rand(1, generator=generator, device="cpu"))
+        color = 0.8 + 0.4 * torch.rand(3, generator=generator, device="cpu")
+        away = torch.rad2deg(torch.acos((toward @ middle).clamp(-1, 1)))[..., None]
+        picture += torch.sigmoid((width - away) * 2) * (40 * (3 / width) ** 1.6) * color
+    return picture
+
+
 def training_loss(size: int, views: int, cache: Path | None = None) -> Loss:
-    """The colour difference of small pictures of the blob from two sides in the grove, and of a sphere there.
+    """The colour difference of small pictures: the blob in the grove, the blob among lamps, and a sphere in the grove.
 
     Args:
         size: Pixels of a side of each picture.
@@ -20,7 +50,7 @@ def training_loss(size: int, views: int, cache: Path | None = None) -> Loss:
     """
     made = (
         (blob(), Camera(), Environment.default()),
-        (blob(), Camera(120, elevation=20), Environment.default(90)),
+        (blob(), Camera(120, elevation=20), Environment.from_image(lamps())),
         (sphere(), Camera(220, elevation=-10), Environment.default(200)),
     )
     scenes = [Scene(*parts, size, _NODES, resolution=_RESOLUTION, cache=cache) for parts in made[:views]]
