@@ -67,14 +67,15 @@ def _q(x: Tensor) -> Tensor:
     """(e^x - 1) / x, 1 at 0."""
     small = x.abs() < 1e-3
     safe = torch.where(small, 1, x)
-    return torch.where(small, 1 + x / 2 + x.square() / 6, torch.expm1(safe) / safe)
+    series = 1 + x / 2 * (1 + x / 3 * (1 + x / 4 * (1 + x / 5)))
+    return torch.where(small, series, torch.expm1(safe) / safe)
 
 
 def _log_q_derivative(x: Tensor) -> Tensor:
     """Derivative of log((e^x - 1) / x): 1 / (1 - e^-x) - 1 / x, 1/2 at 0."""
     small = x.abs() < 1e-2
     safe = torch.where(small, 1, x)
-    return torch.where(small, 0.5 + x / 12, -1 / torch.expm1(-safe) - 1 / safe)
+    return torch.where(small, 0.5 + x / 12 * (1 - x.square() / 60), -1 / torch.expm1(-safe) - 1 / safe)
 
 
 @LOBES.register("gtr")
