@@ -18,6 +18,8 @@ LOSS = "compressed"
 # Pairs of directions that are fitted, and their largest angle from the normal, in degrees.
 SAMPLES = 5_000
 MAX_THETA = 80.0
+# The same of a model's own values, which are known up to the outline.
+MODELS_REACH = 89.0
 # What a layer is multiplied by, in any model, and how much larger the error may be without it.
 LAYERS = ("sheen_color", "sheen", "fuzz_weight", "clearcoat", "coat_weight")
 IDLE = 1.03
@@ -61,7 +63,8 @@ def refit(material: Material, model: str) -> Refit:
     measured = _some(material.brdf) if isinstance(material.brdf, Measured) else _values_of(material.brdf, material.name)
     if not bool((measured.weight > 0).any()):
         raise DataError(f"{material.name}: expected valid samples within {MAX_THETA:g} degrees, found none")
-    result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=None, max_theta=MAX_THETA)
+    reach = MAX_THETA if isinstance(material.brdf, Measured) else MODELS_REACH
+    result = fit(make_model(model), measured, LOSSES[LOSS](), diffuse="fit", samples=None, max_theta=reach)
     (status,), (reason,), error = result.status, result.reason, result.error.item()
     if status not in ENDED:
         raise DataError(f"{material.name}: cannot be refitted as {model}: {reason}")
