@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment import matching
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, Figures, Judge, Tried, find_budget, find_matches
 from torchbrdf.experiment.matching.search import ranked, reach
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
+from torchbrdf.experiment.matching.training import evenly
 from torchbrdf.lobes import FitRecord, Lambert, Sum, read_fits
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
@@ -136,3 +138,12 @@ def test_where_a_match_is_bad(scenes):
     assert sum(one.share for one in found) == pytest.approx(1) and sum(one.pixels for one in found) == pytest.approx(1)
     words = in_words(found, angles(judge, Sum(Lambert(albedo=0.9))))
     assert any("too light" in line for line in words) and any("degrees" in line for line in words)
+
+
+def test_losses_of_values_see_all_directions(nickel, tmp_path):
+    path = tmp_path / "made-up.bsdf"
+    path.write_bytes(tensor_file(synthetic_bsdf()))
+    found = evenly(load(path))
+    assert found.names == ["made-up"] and found.values.shape == (1, 20_000, 3)
+    torch.testing.assert_close(found.values, load(path).at(found.pairs))
+    assert nickel.on_merl_bins and evenly(nickel) is nickel

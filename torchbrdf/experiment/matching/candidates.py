@@ -73,9 +73,9 @@ def _counted(name: str, count: int) -> str:
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
 )
-TABLES = Candidate("distribution_based", 2, metrics=("compressed",))
+TABLES = tuple(Candidate("distribution_based", lobes, metrics=("compressed",)) for lobes in (2, 3))
 FEW = (Candidate("ggx", 1), Candidate("ggx", 2))
-USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3), TABLES)
+USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3), *TABLES)
 MANY = (
     Candidate("ggx", 1),
     Candidate("gtr", 1),
@@ -85,7 +85,7 @@ MANY = (
     Candidate("eon+ggx+ggx"),
     Candidate("ggx", 3),
     Candidate("gtr", 3),
-    TABLES,
+    *TABLES,
 )
 
 

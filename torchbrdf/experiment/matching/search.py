@@ -13,7 +13,7 @@ import torch
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.experiment.matching.candidates import PICTURES, Budget, Candidate, candidates_for
 from torchbrdf.experiment.matching.judge import Figures, Judge, Means
-from torchbrdf.experiment.matching.training import training_loss
+from torchbrdf.experiment.matching.training import evenly, training_loss
 from torchbrdf.files import locked, write_json
 from torchbrdf.fitting import Batches
 from torchbrdf.lobes import FitRecord
@@ -234,6 +234,8 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
     parts = [own[0].measured.batch([one.row for one in own]) for own in groups.values()]
     if not parts:
         return
+    if not loss.scene_summary:
+        parts = [evenly(part) for part in parts]
     batches = Batches(candidate.make(), loss, out=place, diffuse="fit")
     records = batches.run(parts, progress)
     for entry, record in zip([one for own in groups.values() for one in own], records, strict=True):

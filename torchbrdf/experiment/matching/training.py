@@ -1,17 +1,41 @@
 """The pictures that fits see: other shapes, lights and views than those that judge them."""
 
+import math
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from torchbrdf.fitting import stratified
 from torchbrdf.losses import Loss
+from torchbrdf.measured import Measured
+from torchbrdf.measured.merl import bin_centers
 from torchbrdf.precision import undisturbed
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, SideBySide, blob, sphere
 
 DIFFERENCE = "delta_e76"
 # Few half vectors and bins, as of `small_scene`: what a fit sees need not be drawn as well as what judges it.
 _NODES, _RESOLUTION = 64, (24, 16, 12)
+# As of `fit`: degrees from the normal, and samples that a solver sees.
+_MAX_THETA, _SAMPLES = 80.0, 20_000
+
+
+@undisturbed()
+def evenly(measured: Measured) -> Measured:
+    """What losses of values see: a table at MERL's bins as it is, other samples at some of these bins.
+
+    Measurements that follow a highlight have hardly a sample elsewhere, and fits to those are far off in pictures.
+
+    Args:
+        measured: Materials.
+    """
+    if measured.on_merl_bins:
+        return measured
+    pairs = bin_centers().to(dtype=torch.float32)
+    inside = torch.minimum(pairs.cos_i, pairs.cos_o)[0] > math.cos(math.radians(_MAX_THETA))
+    pairs = pairs.select(samples=inside.nonzero()[:, 0])
+    pairs = pairs.select(samples=stratified(len(pairs), _SAMPLES, 0))
+    return Measured.from_samples(pairs, measured.at(pairs), names=measured.names)
 
 
 @undisturbed()
