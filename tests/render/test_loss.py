@@ -14,9 +14,10 @@ from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.objective.image import ImageObjective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.images import DIFFERENCES, PixelDifference, ToneMap
-from torchbrdf.lobes import LOBES, CookTorrance, DistributionBased, Lambert, Lobe, Sum, Ward, make_model
+from torchbrdf.lobes import LOBES, BoundedParameter, CookTorrance, Lambert, Lobe, Sum, Ward, make_model
 from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.measured import Measured
+from torchbrdf.pairs import Pairs
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, blob
 
 PIXELWISE = [name for name in NAMES if issubclass(DIFFERENCES[name], PixelDifference)]
@@ -178,9 +179,19 @@ def test_a_fit_finds_what_was_drawn(small: Scene, strategy: str, name: str, kind
         assert result.status == [Status.CONVERGED] * 2
 
 
+class Bent(Lobe):
+    """A lobe that is neither an albedo times a function nor a sum of terms."""
+
+    tint: BoundedParameter = BoundedParameter(start=0.5, lower=0.01, upper=1.0, shape=(3,), doc="of the powers")
+
+    @staticmethod
+    def function(pairs: Pairs, tint: Tensor) -> Tensor:
+        bent = pairs.cos_h[..., None] ** (1 / tint[..., None, :])
+        return torch.where(pairs.above_horizon[..., None], bent, 0)
+
+
 def test_models_without_columns_are_fitted_too(small: Scene) -> None:
-    truth = Sum(Lambert(albedo=0.2), DistributionBased(distribution=0.3, f0=0.2))
-    model = Sum(Lambert(albedo=0.3), DistributionBased(distribution=0.2, f0=0.2))
+    truth, model = Sum(Lambert(albedo=0.2), Bent(tint=0.6)), Sum(Lambert(albedo=0.3), Bent(tint=0.3))
     loss = RenderedLoss(small, "log_hdr")
     result = fit(model, Measured(Painted([truth])), loss, diffuse="fit", max_iterations=10)
     problem = loss.problem(Measured(Painted([truth])))

@@ -90,7 +90,7 @@ def _blend(lobes: Sequence[Lobe], heights: Sequence[float], share: float = 1.0) 
     if not others:
         return _plugin(first, 1 / share)
     weight = min(max(sum(heights[1:]) / sum(heights), LEAST_WEIGHT), 1 - LEAST_WEIGHT)
-    (weight,) = numbers(torch.tensor([weight]))
+    (weight,) = numbers(torch.tensor([weight], dtype=torch.float64, device="cpu"))
     return {
         "type": "blendbsdf",
         "weight": weight,

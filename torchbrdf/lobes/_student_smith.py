@@ -13,6 +13,7 @@ terms are above 0.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -30,14 +31,12 @@ LEAST = 1.501
 _TERMS = 160
 
 
-def _coefficients_of_powers() -> Tensor:
+@lru_cache(1)
+def _coefficients_of_powers() -> np.ndarray:
     """Chebyshev coefficients in 2 t - 1 of (1 - x)^k, for each k."""
     nodes = (chebyshev.chebpts1(DEGREE + 1) + 1) / 2
     powers = (1 - nodes / (2 - nodes))[:, None] ** np.arange(_TERMS)
-    return torch.from_numpy(chebyshev.chebfit(2 * nodes - 1, powers, DEGREE).T.copy())
-
-
-_OF_POWERS = _coefficients_of_powers()
+    return np.ascontiguousarray(chebyshev.chebfit(2 * nodes - 1, powers, DEGREE).T)
 
 
 def student_visibility(pairs: Pairs, roughness: Tensor, exponent: Tensor) -> Tensor:
@@ -70,7 +69,7 @@ def _coefficients(exponent: Tensor) -> tuple[Tensor, Tensor]:
     ratios, by_a = (a + k / 2) / (a + 1 + k), 1 / (a + k / 2) - 1 / (a + 1 + k)
     start = torch.zeros_like(a)
     powers = torch.cat([start, ratios.log().cumsum(-1)], -1).exp()
-    matrix = _OF_POWERS.to(a.device)
+    matrix = torch.from_numpy(_coefficients_of_powers()).to(a.device)
     slopes = powers * torch.cat([start, by_a.cumsum(-1)], -1)
     return (powers @ matrix).to(exponent.dtype), (slopes @ matrix).to(exponent.dtype)
 

@@ -199,7 +199,7 @@ def _half_vectors() -> tuple[Tensor, Tensor]:
 
 def _random_directions(seed: int) -> tuple[Tensor, Tensor]:
     """Two sets of directions, uniform over the hemisphere within 80 degrees."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator("cpu").manual_seed(seed)
     place = torch.rand(2, RANDOM_PAIRS, 2, dtype=torch.float64, generator=generator, device="cpu")
     lowest = math.cos(math.radians(RELIABLE))
     cosine, phi = lowest + (1 - lowest) * place[..., 0], 2 * math.pi * place[..., 1]

@@ -118,7 +118,8 @@ class _Table:
         f = values_at(brdf, Pairs.from_directions(wi[None], _lifted(wo)[None]))
         place = theta_to_unit(theta_i).expand_as(self.x)
         factor = _along(self.normals, self.x) / (4 * _along(self.visible, place))
-        stored = f * (wo[:, 2] / factor)[:, None]
+        # Not below 0 beneath the horizon: near it Mitsuba would show what is interpolated to there as negative light.
+        stored = f * (wo[:, 2].clamp_min(0) / factor)[:, None]
         # A density over the half vector's coordinates, by that of the warp: what `luminance` adds to the warp.
         turned = toward.clamp_min(0) * self.x * theta_h.sin() / _along(self.density, self.x)
         light = (luminance(stored) * factor).clamp_min(0) * turned
@@ -130,7 +131,7 @@ class _Table:
         """The fields of the file."""
         rows = {"sigma": self.visible, "ndf": self.normals}
         found = {
-            "phi_i": torch.zeros(1),
+            "phi_i": torch.zeros(1, dtype=torch.float32, device="cpu"),
             "theta_i": self.theta_i,
             **{name: value.expand(ROWS, -1) for name, value in rows.items()},
             "vndf": self.density.expand(1, len(self.theta_i), ROWS, -1),
@@ -161,7 +162,10 @@ def _shape(brdf: Brdf, unit: Tensor) -> Tensor:
     """The mean luminance of f by theta_h, at most 1; 1 for a black material."""
     theta_h = (unit.square() * (math.pi / 2)).clamp_max(HIGHEST)
     theta_h, theta_d = (
-        part.flatten() for part in torch.meshgrid(theta_h, torch.tensor(AROUND).deg2rad().to(unit), indexing="ij")
+        part.flatten()
+        for part in torch.meshgrid(
+            theta_h, torch.tensor(AROUND, dtype=unit.dtype, device=unit.device).deg2rad(), indexing="ij"
+        )
     )
     pairs = Pairs.from_half_diff(theta_h[None], theta_d[None], torch.full_like(theta_h, math.pi / 2)[None])
     mean = luminance(values_at(brdf, pairs)).clamp_min(0).reshape(len(unit), -1).mean(1)

@@ -85,7 +85,7 @@ def match(
     finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, stems, strict=True)]
     if bad is not None:
         bad += unwritten
-    if folder is not None:
+    if folder is not None and finished:  # what an earlier match left stays where this one finds nothing
         write_json(folder / LIST, [entry(one) for one in finished])
         write_match_page(folder / PAGE, finished, target, [str(error) for error in bad or []])
     if unwritten and bad is None:

@@ -1,5 +1,6 @@
 """Where a match is not like the measurement, and in what way: parts of pictures, and angles."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -73,7 +74,7 @@ def parts(judge: Judge, brdf: Brdf) -> list[Part]:
         light = luminance(reference)
         middle, top = light.median(), light.quantile(0.99)
         bright = (light > middle + HIGHLIGHT * (top - middle)) & (top - middle > LEAST_CONTRAST)
-        grazing = (scene.view_cosine[mask] < torch.cos(torch.deg2rad(torch.tensor(GRAZING)))) & ~bright
+        grazing = (scene.view_cosine[mask] < math.cos(math.radians(GRAZING))) & ~bright
         for kept, own in zip(pixels, (bright, grazing, ~(bright | grazing)), strict=True):
             kept.append(away[own])
     together = [torch.cat(own) for own in pixels]

@@ -56,9 +56,11 @@ def lamps(height: int = 256, count: int = 24, seed: int = 3) -> Tensor:
     toward = torch.stack([polar.sin() * turn.sin(), polar.cos(), -polar.sin() * turn.cos()], -1)
     picture = torch.full_like(toward, 0.25)
     for _ in range(count):
-        middle = torch.nn.functional.normalize(torch.randn(3, generator=generator, device="cpu"), dim=0)
-        width = 1.5 * 10 ** float(torch.rand(1, generator=generator, device="cpu"))
-        color = 0.8 + 0.4 * torch.rand(3, generator=generator, device="cpu")
+        middle = torch.nn.functional.normalize(
+            torch.randn(3, dtype=torch.float32, generator=generator, device="cpu"), dim=0
+        )
+        width = 1.5 * 10 ** float(torch.rand(1, dtype=torch.float32, generator=generator, device="cpu"))
+        color = 0.8 + 0.4 * torch.rand(3, dtype=torch.float32, generator=generator, device="cpu")
         away = torch.rad2deg(torch.acos((toward @ middle).clamp(-1, 1)))[..., None]
         picture += torch.sigmoid((width - away) * 2) * (40 * (3 / width) ** 1.6) * color
     return picture
