@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from torchbrdf.experiment.rounding import rounded
 from torchbrdf.experiment.settings import FIT_SAMPLES
 from torchbrdf.fitting import fit
 from torchbrdf.lobes import FitRecord, make_model, write_fits
@@ -54,17 +54,8 @@ class MakeStandins(Recipe):
             record.material,
             record.model,
             record.lobes,
-            self._rounded(record.parameters),
+            rounded(record.parameters, self.digits),
             loss=record.loss,
-            error=self._rounded(record.error),
+            error=rounded(record.error, self.digits),
             status=record.status,
         )
-
-    def _rounded(self, value: Any) -> Any:
-        if isinstance(value, float):
-            return float(f"{value:.{self.digits}g}")
-        if isinstance(value, list):
-            return [self._rounded(item) for item in value]
-        if isinstance(value, dict):
-            return {key: self._rounded(item) for key, item in value.items()}
-        return value

@@ -8,6 +8,7 @@ from torchbrdf.errors import TorchbrdfError
 from torchbrdf.experiment import STANDINS, load_materials
 from torchbrdf.experiment.matching.candidates import Budget, Candidate
 from torchbrdf.experiment.matching.search import Match, find_matches
+from torchbrdf.experiment.rounding import rounded
 from torchbrdf.lobes import FitRecord, write_fits
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 
@@ -84,21 +85,12 @@ class MakeZoo(Recipe):
                     origin.prefix + match.material,
                     one.record.model,
                     one.record.lobes,
-                    self._rounded(one.record.parameters),
+                    rounded(one.record.parameters, self.digits),
                     loss=one.record.loss,
                     status=one.record.status,
                 ),
-                pictures={scene: self._rounded(dict(own.differences)) for scene, own in one.figures.items()},
+                pictures={scene: rounded(dict(own.differences), self.digits) for scene, own in one.figures.items()},
                 extra={"of": of},
             )
             for one in nearest.values()
         ]
-
-    def _rounded(self, value: Any) -> Any:
-        if isinstance(value, float):
-            return float(f"{value:.{self.digits}g}")
-        if isinstance(value, list):
-            return [self._rounded(item) for item in value]
-        if isinstance(value, dict):
-            return {key: self._rounded(item) for key, item in value.items()}
-        return value
