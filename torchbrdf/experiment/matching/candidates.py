@@ -73,7 +73,7 @@ def _counted(name: str, count: int) -> str:
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
 )
-TABLES = tuple(Candidate("distribution_based", lobes, metrics=("compressed",)) for lobes in (2, 3))
+TABLES = tuple(Candidate("distribution_based", lobes, metrics=("compressed", "log")) for lobes in (2, 3))
 FEW = (Candidate("ggx", 1), Candidate("ggx", 2))
 USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3), *TABLES)
 MANY = (
