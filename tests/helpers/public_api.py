@@ -98,7 +98,8 @@ def fits() -> dict[str, Tensor]:
     measured = load(standins(), dtype=FLOAT)
     measured = measured.batch([2, 6], torch.arange(0, len(measured.pairs), 900, device="cpu"))
     found = {}
-    tried = [("ward", LOSSES["cube_root"](), strategy) for strategy in STRATEGIES]
+    models = {name: "distribution_based" if name.startswith("tabulated") else "ward" for name in STRATEGIES}
+    tried = [(model, LOSSES["cube_root"](), strategy) for strategy, model in models.items()]
     tried += [("abc", LOSSES["learned"](), "global"), ("shifted_gamma", LOSSES["cosine_rms"](), "staged")]
     tried += [("cook_torrance", FunctionLoss(torch.nn.MSELoss()), "global")]
     with warnings.catch_warnings():
