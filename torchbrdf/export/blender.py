@@ -10,9 +10,8 @@ from typing import Any
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
 from torchbrdf.export.mtlx import conductor, diffuse, ggx, inputs_of
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values
-from torchbrdf.files import write_text
 from torchbrdf.lobes import OpenPBR
-from torchbrdf.lobes.openpbr import _below_coat, _darkening, _eta
+from torchbrdf.lobes.openpbr import below_coat, darkening, eta_below_coat
 
 # The sockets of Blender 4.0 and later that a material of reflections alone has, and what they may be.
 SOCKETS: dict[str, Limits] = {
@@ -81,11 +80,11 @@ def inputs_for_blender(lobe: OpenPBR) -> Values:
     found = inputs_of(lobe) | {"base_color": (metal * values["base_color"]).tolist()}
     if not coat.item() > 0:
         return found
-    alpha = _below_coat(values["specular_roughness"], coat, values["coat_roughness"])
-    left = _darkening(**values) * (1 + coat * (values["coat_color"] - 1))
+    alpha = below_coat(values["specular_roughness"], coat, values["coat_roughness"])
+    left = darkening(**values) * (1 + coat * (values["coat_color"] - 1))
     return found | {
         "specular_roughness": alpha.sqrt().item(),
-        "specular_ior": _eta(weight, values["specular_ior"], coat, coat_ior).item(),
+        "specular_ior": eta_below_coat(weight, values["specular_ior"], coat, coat_ior).item(),
         "specular_weight": 1.0,
         "coat_color": (1 + (left - 1) / coat).clamp(0, 1).tolist(),
     }
@@ -123,9 +122,7 @@ class Blender(Exporter):
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the script."""
         shading = BLENDER.shading(material)
-        path = material.path(folder, self.suffix)
-        write_text(path, script(shading.values, material.name))
-        return Exported([path], shading.exact, shading.notes, shading.shown)
+        return shading.write(material.path(folder, self.suffix), script(shading.values, material.name))
 
 
 def script(values: Values, name: str) -> str:

@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values, numbers_of
-from torchbrdf.files import write_text
 from torchbrdf.lobes import EON, GGX, Lambert
 
 VERSION = "1.39"
@@ -96,9 +95,7 @@ class MaterialX(Exporter):
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the document."""
         shading = OPENPBR.shading(material)
-        path = material.path(folder, self.suffix)
-        write_text(path, document(shading.values, material.name))
-        return Exported([path], shading.exact, shading.notes, shading.shown)
+        return shading.write(material.path(folder, self.suffix), document(shading.values, material.name))
 
 
 def document(values: Values, name: str) -> str:

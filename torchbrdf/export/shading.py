@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from torchbrdf.errors import DataError, UsageError, shown
-from torchbrdf.export.base import Brdf, Material
+from torchbrdf.export.base import Brdf, Exported, Material
 from torchbrdf.export.refit import refit
+from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, Lambert, Lobe
 
 # How far beyond a limit a value may be by rounding, as a share of the limit, or of 1.
@@ -46,6 +48,11 @@ class Shading:
     exact: bool
     notes: list[str]
     shown: Brdf
+
+    def write(self, path: Path, text: str) -> Exported:
+        """Write the one file that it comes to."""
+        write_text(path, text)
+        return Exported([path], self.exact, self.notes, self.shown)
 
 
 @dataclass(frozen=True)

@@ -145,8 +145,8 @@ class OpenPBR(LayeredMaterial):
         taken = fuzz_albedo(viewer, fuzz_roughness)
         below_fuzz, coat_alpha = 1 - fuzz_weight * taken, coat_roughness**2
         below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior)))
-        alpha = _below_coat(roughness, coat, coat_roughness)
-        eta = _eta(weight, ior, coat, coat_ior)
+        alpha = below_coat(roughness, coat, coat_roughness)
+        eta = eta_below_coat(weight, ior, coat, coat_ior)
         main = below * facets(pairs, alpha, smith)
         diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta)))
         return [
@@ -163,7 +163,7 @@ class OpenPBR(LayeredMaterial):
     def coefficients(cls, **parameters: Tensor) -> Tensor:
         """Of the terms in their order."""
         color, metalness, weight = parameters["base_color"], parameters["base_metalness"], parameters["specular_weight"]
-        left = _darkening(**parameters) * (1 + parameters["coat_weight"] * (parameters["coat_color"] - 1))
+        left = darkening(**parameters) * (1 + parameters["coat_weight"] * (parameters["coat_color"] - 1))
         body = EON.coefficients(albedo=color, roughness=parameters["base_diffuse_roughness"])
         plastic, metal = (1 - metalness) * left, metalness * weight * left
         return columns(
@@ -187,13 +187,13 @@ def _body(pairs: Pairs, roughness: Value) -> list[Value]:
     return [roughness.chain(term, partial(torch.as_tensor, slope)) for term, slope in zip(terms, slopes, strict=True)]
 
 
-def _below_coat(roughness: Value, coat: Value, coat_roughness: Value) -> Value:
+def below_coat(roughness: Value, coat: Value, coat_roughness: Value) -> Value:
     """alpha of the base, which looks rougher through a rough coat."""
     rougher = (roughness**4 + 2 * coat_roughness**4).clamp(0, 1) ** 0.25
     return (roughness + coat * (rougher - roughness)) ** 2
 
 
-def _eta(weight: Value, ior: Value, coat: Value, coat_ior: Value) -> Value:
+def eta_below_coat(weight: Value, ior: Value, coat: Value, coat_ior: Value) -> Value:
     """Index of refraction of the base, against the coat where that is present, whose F0 is scaled by the weight."""
     against = larger(ior / coat_ior, coat_ior / ior)
     eta = ior + coat * (against - ior)
@@ -201,7 +201,7 @@ def _eta(weight: Value, ior: Value, coat: Value, coat_ior: Value) -> Value:
     return (1 + scaled) / (1 - scaled)
 
 
-def _darkening(**parameters: Tensor) -> Tensor:
+def darkening(**parameters: Tensor) -> Tensor:
     """What light that the coat throws back to the base leaves of the base's colour."""
     color, ior = parameters["base_color"], parameters["coat_ior"]
     albedo = color * (1 + parameters["base_metalness"] * (parameters["specular_weight"] - 1))

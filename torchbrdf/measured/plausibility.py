@@ -155,7 +155,7 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
     weight = (wi[:, 2] * wo[:, 2])[:, None]
     apart = ((there - back) * weight).square().mean((1, 2)) / (there * weight).square().mean((1, 2)).clamp_min(1e-300)
     names = brdf.names if isinstance(brdf, Measured) else ["model"] if len(albedo) == 1 else _numbered(len(albedo))
-    invalid, reach = _coverage(brdf)
+    invalid, reach = _coverage(brdf, len(albedo))
     return [
         Plausibility(
             name,
@@ -208,11 +208,10 @@ def _random_directions(seed: int) -> tuple[Tensor, Tensor]:
     return wi, wo
 
 
-def _coverage(brdf: Lobe | Measured) -> tuple[list[float], list[float]]:
+def _coverage(brdf: Lobe | Measured, materials: int) -> tuple[list[float], list[float]]:
     """Of each material the share of samples within 80 degrees that are not valid, and how far any valid one reaches."""
     if not isinstance(brdf, Measured):
-        count = len(_values(brdf, *(one[:1] for one in _random_directions(0))))
-        return [0.0] * count, [90.0] * count
+        return [0.0] * materials, [90.0] * materials
     invalid, reach = [], []
     lowest = math.cos(math.radians(RELIABLE))
     for k in range(len(brdf)):
