@@ -13,11 +13,8 @@ terms are above 0.
 """
 
 import math
-from functools import lru_cache
 
-import numpy as np
 import torch
-from numpy.polynomial import chebyshev
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import clamp_cosine
@@ -31,12 +28,14 @@ LEAST = 1.501
 _TERMS = 160
 
 
-@lru_cache(1)
-def _coefficients_of_powers() -> np.ndarray:
-    """Chebyshev coefficients in 2 t - 1 of (1 - x)^k, for each k."""
-    nodes = (chebyshev.chebpts1(DEGREE + 1) + 1) / 2
-    powers = (1 - nodes / (2 - nodes))[:, None] ** np.arange(_TERMS)
-    return np.ascontiguousarray(chebyshev.chebfit(2 * nodes - 1, powers, DEGREE).T)
+def _coefficients_of_powers(like: Tensor) -> Tensor:
+    """Chebyshev coefficients in 2 t - 1 of (1 - x)^k, for each k: the cosine transform of its values at their nodes."""
+    count = torch.arange(DEGREE + 1, dtype=like.dtype, device=like.device)
+    angles = (count + 0.5) * (math.pi / (DEGREE + 1))
+    nodes = (angles.cos() + 1) / 2
+    powers = (1 - nodes / (2 - nodes))[:, None] ** torch.arange(_TERMS, dtype=like.dtype, device=like.device)
+    transform = (angles[:, None] * count).cos() * (2 - (count == 0).to(like.dtype)) / (DEGREE + 1)
+    return powers.mT @ transform
 
 
 def student_visibility(pairs: Pairs, roughness: Tensor, exponent: Tensor) -> Tensor:
@@ -69,7 +68,7 @@ def _coefficients(exponent: Tensor) -> tuple[Tensor, Tensor]:
     ratios, by_a = (a + k / 2) / (a + 1 + k), 1 / (a + k / 2) - 1 / (a + 1 + k)
     start = torch.zeros_like(a)
     powers = torch.cat([start, ratios.log().cumsum(-1)], -1).exp()
-    matrix = torch.from_numpy(_coefficients_of_powers()).to(a.device)
+    matrix = _coefficients_of_powers(a)
     slopes = powers * torch.cat([start, by_a.cumsum(-1)], -1)
     return (powers @ matrix).to(exponent.dtype), (slopes @ matrix).to(exponent.dtype)
 
