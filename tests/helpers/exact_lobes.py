@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import mpmath
 from hypothesis import assume
@@ -9,6 +10,10 @@ from hypothesis import strategies as st
 from mpmath import mpf
 
 Vector = list[mpf]
+
+
+def mp(x: Any) -> Any:
+    return [mp(value) for value in x] if isinstance(x, list) else mpf(x)
 
 
 class Geometry:

@@ -155,7 +155,7 @@ def test_names_of_scalars_are_those_of_terms(name: str) -> None:
 @pytest.mark.parametrize("name", [*WHOLE, "ggx_f82", "roughconductor"])
 def test_a_fit_finds_what_made_the_values(name: str) -> None:
     torch.manual_seed(0)
-    truth, pairs = LOBES[name](dtype=torch.float64), some_pairs(3000)
+    truth, pairs = LOBES[name](dtype=torch.float64), some_pairs(1000)
     model = make_model(name, 1, dtype=torch.float64)
     with torch.no_grad():
         for spec in truth.parameter_specs.values():
