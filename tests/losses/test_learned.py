@@ -3,22 +3,19 @@
 import copy
 import json
 import pickle
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from helpers.known_models import Made
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torchbrdf import fit
-from torchbrdf.errors import DataError, UsageError
-from torchbrdf.lobes import Lambert, Sum, Ward, make_model
-from torchbrdf.losses import LOSSES, LearnedLoss
+from torchbrdf.errors import UsageError
+from torchbrdf.lobes import Lambert, Sum, Ward
+from torchbrdf.losses import LearnedLoss
 from torchbrdf.losses.bins import BIN_COUNT, soft_bins
 from torchbrdf.losses.metric_file import CONSTANTS, LARGEST_CONSTANT, read_metric
 from torchbrdf.measured import load, standins
@@ -109,12 +106,6 @@ def test_a_bin_is_compared_by_the_length_over_channels() -> None:
     assert bins(1.3, 1.3, 1.0) == pytest.approx(bins(1.3, 1.3, 1.3) * (2 / 3) ** 0.5, rel=1e-9)
 
 
-def test_the_docstring_has_the_constants_that_come_with_it() -> None:
-    said = dict(re.findall(r"w\d  (\w+) +([\d.]+)", LearnedLoss.__doc__ or ""))
-    assert {name: float(value) for name, value in said.items()} == read_metric(None)["constants"]
-    assert list(read_metric(None)["constants"]) == list(CONSTANTS)
-
-
 def test_a_scale_is_a_factor_of_both() -> None:
     one, other = glossy(0.1), glossy(0.2)
     assert distance(one / 50, other / 50, scale=50.0) == pytest.approx(distance(one, other), rel=1e-12)
@@ -197,13 +188,6 @@ def test_gradients_are_finite_at_equal_values_and_twice() -> None:
     assert torch.autograd.gradgradcheck(lambda x: loss(x, target[:50], pairs, weight), point)
 
 
-def test_it_comes_by_name_and_says_where_it_is_from() -> None:
-    loss = LOSSES["learned"]()
-    assert isinstance(loss, LearnedLoss) and loss.registered_name == "learned"
-    assert {"learned_from", "held_out"} <= set(loss.provenance)
-    assert "10.1145/3306346.3323036" in json.dumps(loss.provenance)
-
-
 def test_constants_of_ones_own(tmp_path: Path) -> None:
     four = {"constants": {name: 4 * value for name, value in read_metric(None)["constants"].items()}}
     path = tmp_path / "metric.json"
@@ -214,67 +198,11 @@ def test_constants_of_ones_own(tmp_path: Path) -> None:
         assert float(loss(one, other, PAIRS)) == pytest.approx(4 * distance(one, other), rel=1e-9)
 
 
-NAMES = ", ".join(CONSTANTS)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda d: d.pop("constants"), f"expected constants {NAMES}; found none"),
-        (
-            lambda d: d.update(weights={"pointwise": [1.0] * 5}) or d.pop("constants"),
-            f"expected constants {NAMES}; found the weights of an older form: train it again",
-        ),
-        (lambda d: d.update(epsilon=1.0), "epsilon: expected 0.001, found 1.0"),
-        (lambda d: d.update(theta_h=[0, 90]), r"theta_h: expected .*, found \[0.0, 90.0\]"),
-        (lambda d: d.update(provenance="mine"), "expected a learned metric, .* got `str` - at `\\$.provenance`"),
-        (lambda d: d.update(provenance=["mine"]), "expected a learned metric, .* got `array` - at `\\$.provenance`"),
-        (lambda d: d["constants"].pop("gloss"), f"constants: expected {NAMES}; found 'chroma, bins, pointwise'"),
-        (
-            lambda d: d["constants"].update(more=1.0),
-            f"constants: expected {NAMES}; found 'gloss, chroma, bins, pointwise, m",
-        ),
-        (lambda d: d["constants"].update(gloss=-1.0), r"constants: gloss: expected 0 to 1e\+20, found -1.0"),
-        (lambda d: d["constants"].update(gloss=1e300), r"constants: gloss: expected 0 to 1e\+20, found 1e\+300"),
-        (lambda d: d["constants"].update(gloss=10**400), "expected a learned metric, .*out of range"),
-        (lambda d: d["constants"].update(gloss=float("nan")), "expected a learned metric, .*JSON is"),
-        (lambda d: d.update(constants="much"), "expected a learned metric, .*got `str`"),
-        (lambda d: d.update(constants=dict.fromkeys(CONSTANTS, 0.0)), "expected a constant above 0, found none"),
-    ],
-)
-def test_bad_constants_are_refused(change, said: str, tmp_path: Path) -> None:
-    data = copy.deepcopy(dict(read_metric(None)))
-    change(data)
-    path = tmp_path / "metric.json"
-    path.write_text(json.dumps(data))
-    with pytest.raises(DataError, match=f"^{path}: {said}") as caught:
-        LearnedLoss(weights=path)
-    assert len(str(caught.value)) <= 300 and "\n" not in str(caught.value)
-    if "JSON" not in said and "range" not in said:
-        with pytest.raises(DataError, match=r"^weights: "):
-            LearnedLoss(weights=data)
-
-
-def test_deep_json_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "metric.json").write_text('{"provenance": {"a": ' + "[" * 100_000)
-    with pytest.raises(DataError, match=r"metric.json: expected a learned metric, .*, found JSON that is nested too"):
-        LearnedLoss(weights=tmp_path / "metric.json")
-
-
 def test_the_largest_constants_give_finite_distances() -> None:
     largest = {"constants": dict.fromkeys(CONSTANTS, LARGEST_CONSTANT)}
     one, other = torch.zeros(1, len(PAIRS), 3), torch.full((1, len(PAIRS), 3), 1e10)
     pairs = PAIRS.to(dtype=torch.float32)
     assert LearnedLoss(reduction="none", weights=largest)(one, other, pairs).isfinite().all()
-
-
-@given(st.text(max_size=60) | st.recursive(st.none() | st.floats() | st.text(), st.lists).map(json.dumps))
-@settings(max_examples=60, deadline=None)
-def test_whatever_a_file_holds_is_a_metric_or_an_error(tmp_path_factory, text: str) -> None:
-    path = tmp_path_factory.mktemp("metric") / "metric.json"
-    path.write_text(text, encoding="utf-8", errors="replace")
-    with pytest.raises(DataError, match=r"metric\.json: expected"):
-        LearnedLoss(weights=path)
 
 
 def test_copies_do_not_carry_pairs() -> None:
@@ -307,43 +235,6 @@ def test_what_is_kept_belongs_to_these_pairs() -> None:
     assert single.dtype == torch.float32 and float(single) == pytest.approx(float(first), rel=1e-4)
 
 
-def test_a_fit_finds_what_values_were_made_with() -> None:
-    """Global, by Gauss-Newton, in one batch with a material that has holes."""
-    model = make_model("ward", lobes=1)
-    pairs = uniform_pairs(3000, seed=7)
-    truth = Sum(
-        Lambert(albedo=torch.tensor([[0.2, 0.3, 0.4], [0.5, 0.1, 0.1]]), dtype=torch.float64),
-        Ward(
-            specular=torch.tensor([[0.1, 0.2, 0.3], [0.3, 0.3, 0.3]]),
-            roughness=torch.tensor([[0.08], [0.3]]),
-            dtype=torch.float64,
-        ),
-    )
-    with torch.no_grad():
-        values = truth(Pairs.from_half_diff(pairs.theta_h[None], pairs.theta_d[None], pairs.phi_d[None])).clone()
-    values[1, ::7] = torch.nan
-    lead = Pairs.from_half_diff(pairs.theta_h[None], pairs.theta_d[None], pairs.phi_d[None])
-    result = fit(model, Measured.from_samples(lead, values), LearnedLoss(), diffuse="fit", samples=None)
-    assert [str(status) for status in result.status] == ["converged", "converged"]
-    assert result.loss == "learned" and float(result.error.max()) < 1e-3
-    for one, other in zip(result.model.parameters(), truth.parameters(), strict=True):
-        torch.testing.assert_close(one, other.expand_as(one), rtol=1e-3, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_a_fit_is_better_under_it_than_another_losses_fit() -> None:
-    measured = load(standins()).batch([0, 1]).within(80.0)
-    loss = LearnedLoss()
-    own, other = (fit(make_model("ward", lobes=2), measured, x, samples=4000) for x in (loss, LOSSES["cube_root"]()))
-    score, whole = LearnedLoss(reduction="none"), loss.problem(measured)
-    with torch.no_grad():
-        mine, theirs = (
-            score(result.model(whole.pairs), whole.target, whole.pairs, whole.weight) for result in (own, other)
-        )
-    torch.testing.assert_close(mine.double(), own.error, rtol=1e-3, atol=0)
-    assert bool((mine < theirs).all())
-
-
 def test_merls_bins_count_as_the_pairs_it_was_trained_on() -> None:
     """Averages on a table's bins are those of pairs uniform in (theta_i, theta_o, phi); other samples count alike."""
     measured = load(standins()).batch([6, 7]).within(80.0)
@@ -359,22 +250,6 @@ def test_merls_bins_count_as_the_pairs_it_was_trained_on() -> None:
     assert ((alike - expected).abs() > 0.03 * expected).all()
     samples = Measured.from_samples(PAIRS, glossy(0.1)[None])
     assert torch.equal(loss.problem(samples).weight, samples.weight)
-
-
-class OnBins(Made):
-    """A model in the place of a table."""
-
-    on_merl_bins = True
-
-
-def test_a_fit_finds_a_lobe_that_few_pairs_see() -> None:
-    """Of a roughness of .003, on a table's bins: they are dense where theta_h is small."""
-    table = load(standins()).batch([6]).pairs
-    truth = Sum(Lambert(albedo=[0.02, 0.02, 0.02]), Ward(specular=[0.3, 0.25, 0.2], roughness=0.003)).double()
-    measured = Measured(OnBins(truth, table.select(samples=torch.arange(0, len(table), 5)).to(dtype=torch.float64)))
-    result = fit(make_model("ward", lobes=1), measured, LearnedLoss(), diffuse="fit", samples=4000)
-    assert result.model.components()[1].roughness.item() == pytest.approx(0.003, rel=0.02)
-    assert float(result.error) < 0.01
 
 
 @pytest.mark.parametrize("write", ["numpy", "data", "replaced data", "torch"])
