@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.solvers.parabola import check_bounds
 from torchbrdf.solvers.status import RESOLUTION, FirstOrder, Solution, Status
 
 ARMIJO = 1e-4
@@ -100,8 +100,7 @@ def minimize_lbfgs(
         [1.0, 1.0, 1.0]
     """
     lower, upper = lower.expand_as(start), upper.expand_as(start)
-    if not bool((lower <= upper).all()):
-        raise ShapeError("minimize_lbfgs: a lower bound is above its upper bound")
+    check_bounds("minimize_lbfgs", lower, upper)
     problems = start.shape[0]
     x = start.clamp(lower, upper)
     all_rows = torch.arange(problems, dtype=torch.int64, device=start.device)

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
 from torchbrdf.solvers.bounded_qp import Array, solve_bounded_qp
+from torchbrdf.solvers.parabola import check_bounds, is_finite, promise
 from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e9
@@ -57,19 +57,19 @@ def minimize_levenberg_marquardt(
         >>> minimize_levenberg_marquardt(Parabola(), zero, -one, one).x.flatten().tolist()
         [1.0, 1.0, 1.0]
     """
-    if not bool((lower <= upper).all()):
-        raise ShapeError("minimize_levenberg_marquardt: a lower bound is above its upper bound")
+    check_bounds("minimize_levenberg_marquardt", lower, upper)
     low, high = (bound.expand_as(start).cpu().numpy() for bound in (lower, upper))
     x = start.cpu().numpy().clip(low, high)
     problems = len(x)
 
-    def evaluate(point: Array, rows: Array) -> tuple[Array, Array, Array]:
+    def evaluate(point: Array, rows: Array) -> tuple[Array, Array, Array, Array]:
         there = (torch.from_numpy(part).to(start.device) for part in (point, rows))
-        value, gradient, matrix = (part.cpu().numpy() for part in objective.quadratic_model(*there))
-        return value, gradient, matrix
+        found = objective.quadratic_model(*there)
+        value, gradient, matrix, finite = (part.cpu().numpy() for part in (*found, is_finite(*found)))
+        return value, gradient, matrix, finite
 
     rows = np.arange(problems)
-    value, gradient, matrix = evaluate(x, rows)
+    value, gradient, matrix, good = evaluate(x, rows)
     status = [Status.MAX_ITERATIONS] * problems
     iterations = np.zeros(problems, dtype=np.int64)
     lam, growth, trust = np.full(problems, damping), np.full(problems, 2.0), np.ones(problems)
@@ -78,7 +78,6 @@ def minimize_levenberg_marquardt(
         for row in ended.tolist():
             status[row] = why
 
-    good = _finite(value, gradient, matrix)
     stop(rows[~good], Status.NOT_FINITE)
     rows = rows[good]
     for _ in range(max_iterations):
@@ -93,21 +92,21 @@ def minimize_levenberg_marquardt(
         if len(ending):
             at = rows[ending]
             undamped = np.full(len(at), MIN_DAMPING)
-            promise, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
-            done = promise <= ftol * size[ending]
-            nothing_left = (promise <= RESOLUTION * size[ending]) | (np.abs(value[at]) <= fmin)
+            left, _ = _step(gradient[at], matrix[at], room[0][ending], room[1][ending], undamped)
+            done = left <= ftol * size[ending]
+            nothing_left = (left <= RESOLUTION * size[ending]) | (np.abs(value[at]) <= fmin)
             minimum = done | (stuck[ending] & nothing_left)
             stop(at[minimum], Status.CONVERGED)
             stop(at[stuck[ending] & ~minimum], Status.STALLED)
-            left = np.ones(len(rows), dtype=bool)
-            left[ending[minimum | stuck[ending]]] = False
-            rows, expected, step = rows[left], expected[left], step[left]
+            going = np.ones(len(rows), dtype=bool)
+            going[ending[minimum | stuck[ending]]] = False
+            rows, expected, step = rows[going], expected[going], step[going]
             if not len(rows):
                 break
         iterations[rows] += 1
         tried = (x[rows] + step).clip(low[rows], high[rows])
-        f, g, h = evaluate(tried, rows)
-        better = _finite(f, g, h) & (f <= value[rows] - 1e-4 * expected) & (expected > 0)
+        f, g, h, finite = evaluate(tried, rows)
+        better = finite & (f <= value[rows] - 1e-4 * expected) & (expected > 0)
         ratio = np.where(better, (value[rows] - f) / np.where(better, expected, 1.0), 0.0)
         accepted = rows[better]
         x[accepted], value[accepted] = tried[better], f[better]
@@ -121,11 +120,6 @@ def minimize_levenberg_marquardt(
     return Solution(torch.from_numpy(x).to(start), torch.from_numpy(value).to(start), status, count)
 
 
-def _finite(value: Array, gradient: Array, matrix: Array) -> Array:
-    found: Array = np.isfinite(value) & np.isfinite(gradient).all(-1) & np.isfinite(matrix).all((-2, -1))
-    return found
-
-
 def _step(gradient: Array, matrix: Array, low: Array, high: Array, damping: Array) -> tuple[Array, Array]:
     """What the parabola promises to gain, not counting the damping, and the step to the damped parabola's least."""
     diagonal = np.einsum("rpp->rp", matrix)
@@ -133,5 +127,4 @@ def _step(gradient: Array, matrix: Array, low: Array, high: Array, damping: Arra
     damped = matrix.copy()
     np.einsum("rpp->rp", damped)[...] += np.maximum(diagonal, floor) * damping[:, None] + floor * 1e-3
     step = solve_bounded_qp(damped, gradient, low, high)
-    gain: Array = -(gradient * step).sum(-1) - 0.5 * (step * (matrix @ step[..., None])[..., 0]).sum(-1)
-    return gain, step
+    return promise(step, gradient, matrix), step

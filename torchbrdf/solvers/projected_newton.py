@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.solvers.parabola import check_bounds, is_finite, promise
 from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e6
@@ -59,8 +59,7 @@ def minimize_projected_newton(
         >>> minimize_projected_newton(Parabola(), zero, -one, one).x.flatten().tolist()
         [1.0, 1.0, 1.0]
     """
-    if not bool((lower <= upper).all()):
-        raise ShapeError("minimize_projected_newton: a lower bound is above its upper bound")
+    check_bounds("minimize_projected_newton", lower, upper)
     low, high = lower.expand_as(start), upper.expand_as(start)
     x = start.clamp(low, high)
     rows = torch.arange(len(x), dtype=torch.int64, device=x.device)
@@ -73,7 +72,7 @@ def minimize_projected_newton(
         for row in rows[which].tolist():
             status[row] = why
 
-    good = _finite(value, gradient, matrix)
+    good = is_finite(value, gradient, matrix)
     stop(~good, Status.NOT_FINITE)
     stop(good & (value <= fmin), Status.CONVERGED)
     rows = rows[good & (value > fmin)]
@@ -82,21 +81,21 @@ def minimize_projected_newton(
             break
         room = (low[rows] - x[rows]).clamp_min(-longest), (high[rows] - x[rows]).clamp_max(longest)
         step = bounded_step(gradient[rows], matrix[rows], *room, lam[rows])
-        promise = _promise(step, gradient[rows], matrix[rows])
+        expected = promise(step, gradient[rows], matrix[rows])
         tried = (x[rows] + step).clamp(low[rows], high[rows])
         f, g, h = objective.quadratic_model(tried, rows)
         iterations[rows] += 1
-        gain = torch.where(_finite(f, g, h), value[rows] - f, -torch.inf)
+        gain = torch.where(is_finite(f, g, h), value[rows] - f, -torch.inf)
         better = gain > 0
-        done = better & (gain <= ftol * f.abs() + fmin) & (promise <= 10 * ftol * f.abs() + fmin)
+        done = better & (gain <= ftol * f.abs() + fmin) & (expected <= 10 * ftol * f.abs() + fmin)
         stuck = ~better & (lam[rows] >= MAX_DAMPING)
         taken = rows[better]
         x[taken], value[taken], gradient[taken], matrix[taken] = tried[better], f[better], g[better], h[better]
         lam[rows] = torch.where(better, lam[rows] / 4, (lam[rows] * 10).clamp_min(1e-6)).clamp(MIN_DAMPING, MAX_DAMPING)
         done |= value[rows] <= fmin
         if bool(stuck.any()):
-            undamped = bounded_step(gradient[rows], matrix[rows], *room, torch.full_like(promise, MIN_DAMPING))
-            left = _promise(undamped, gradient[rows], matrix[rows])
+            undamped = bounded_step(gradient[rows], matrix[rows], *room, torch.full_like(expected, MIN_DAMPING))
+            left = promise(undamped, gradient[rows], matrix[rows])
             done |= stuck & (left <= RESOLUTION * value[rows].abs() + fmin)
         stop(done, Status.CONVERGED)
         stop(stuck & ~done, Status.STALLED)
@@ -127,13 +126,3 @@ def bounded_step(gradient: Tensor, matrix: Tensor, low: Tensor, high: Tensor, da
             break
         held = (held & ~released) | out
     return step
-
-
-def _promise(step: Tensor, gradient: Tensor, matrix: Tensor) -> Tensor:
-    """What the parabola promises of a step."""
-    return -(gradient * step).sum(-1) - 0.5 * (step * (matrix @ step[..., None])[..., 0]).sum(-1)
-
-
-def _finite(value: Tensor, gradient: Tensor, matrix: Tensor) -> Tensor:
-    found: Tensor = value.isfinite() & gradient.isfinite().all(-1) & matrix.isfinite().all(-1).all(-1)
-    return found
