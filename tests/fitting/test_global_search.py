@@ -41,7 +41,7 @@ COMBINED += [("ward", name) for name in LOSS_NAMES if name not in dict(COMBINED)
 @pytest.mark.parametrize(("name", "loss_name"), COMBINED)
 def test_it_finds_what_a_model_was_made_from(name, loss_name):
     model, loss = two_lobes(name, 2), LOSSES[loss_name]()
-    measured = Measured(Made(model, some_pairs()), dtype=torch.float64)
+    measured = Measured(Made(model, some_pairs(1000)), dtype=torch.float64)
     result = fit(make_model(name, 2), measured, loss, diffuse="fit", samples=None)
     zero_prediction_error = loss.error(torch.zeros_like(measured.values), measured.values, measured.pairs)
     assert (result.error < 0.01 * zero_prediction_error).all()
@@ -63,11 +63,11 @@ def test_it_finds_what_a_model_was_made_from(name, loss_name):
 )
 def test_it_is_never_worse_than_the_staged_procedure(name, loss):
     """On materials that the model cannot be: those of another one, with noise."""
-    other = two_lobes("cook_torrance" if name == "ward" else "ward", 4)
+    other = two_lobes("cook_torrance" if name == "ward" else "ward", 3)
     measured = Measured(Made(other, some_pairs()), dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
     measured.source.values *= (1 + 0.1 * torch.randn(measured.values.shape, generator=generator)).clamp_min(0.1)
-    staged, best = (fit(make_model(name, 2), measured, loss, strategy=s, samples=1500) for s in ("staged", "global"))
+    staged, best = (fit(make_model(name, 2), measured, loss, strategy=s, samples=1000) for s in ("staged", "global"))
     assert (best.error <= staged.error * 1.0005).all()
     assert "all " in best.history[-1].name
     assert_within_bounds(best.model)
@@ -100,7 +100,7 @@ def test_starts_are_near_the_truth(name, lobes):
 def test_random_starts_find_nothing_better(name):
     """One lobe of every registered kind, on materials that none can be."""
     measured, loss = load(standins(), dtype=torch.float64).batch([4, 6]).within(80.0), CosineRMSLoss()
-    measured = measured.batch(samples=stratified(len(measured.pairs), 2000, 0))
+    measured = measured.batch(samples=stratified(len(measured.pairs), 1000, 0))
     best = fit(make_model(name, 1), measured, loss, diffuse="fit", samples=None).error
     model = make_model(name, 1, torch.float64).batched(2)
     objective, free = (
@@ -109,11 +109,11 @@ def test_random_starts_find_nothing_better(name):
     )
     low, high = free.limits()
     generator = torch.Generator().manual_seed(0)
-    for _ in range(12):
-        x = low + (high - low) * torch.rand(2, len(low), generator=generator, dtype=torch.float64)
-        start = get_parameters(model) | free.decode(x, torch.float64)
-        _, found = levenberg_marquardt_fit(objective, start, free, max_iterations=200)
-        assert (best <= found.value * 1.002).all()
+    x = low + (high - low) * torch.rand(24, len(low), generator=generator, dtype=torch.float64)
+    materials = torch.arange(24) % 2
+    start = take_materials(get_parameters(model), materials) | free.decode(x, torch.float64)
+    _, found = levenberg_marquardt_fit(objective, start, free, max_iterations=200, materials=materials)
+    assert (best[materials] <= found.value * 1.002).all()
 
 
 @pytest.mark.parametrize("name", COLORED)

@@ -81,35 +81,35 @@ class Angles:
         return f0 + (1 - f0) * (1 - self.vh) ** 5
 
 
-def plain_ward(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_ward(g: Angles, fit: dict[str, Any]) -> Array:
     a = fit["roughness"]
-    return fit["specular"][c] * np.exp(-g.tan2 / a**2) / (4 * np.pi * a**2 * np.sqrt(g.zi * g.zo))
+    return np.outer(np.exp(-g.tan2 / a**2) / (4 * np.pi * a**2 * np.sqrt(g.zi * g.zo)), fit["specular"])
 
 
-def plain_blinn_phong(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_blinn_phong(g: Angles, fit: dict[str, Any]) -> Array:
     n = fit["sharpness"]
-    return fit["specular"][c] * (n + 2) / (2 * np.pi) * g.zh**n
+    return np.outer((n + 2) / (2 * np.pi) * g.zh**n, fit["specular"])
 
 
-def plain_cook_torrance(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_cook_torrance(g: Angles, fit: dict[str, Any]) -> Array:
     m = fit["roughness"]
     d = np.exp(-g.tan2 / m**2) / (np.pi * m**2 * g.zh**4)
-    return fit["specular"][c] * g.schlick(fit["eta"]) * d * g.masking / (np.pi * g.zi * g.zo)
+    return np.outer(g.schlick(fit["eta"]) * d * g.masking / (np.pi * g.zi * g.zo), fit["specular"])
 
 
-def plain_ashikhmin_shirley(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_ashikhmin_shirley(g: Angles, fit: dict[str, Any]) -> Array:
     n = fit["sharpness"]
     power = (n + 1) / (8 * np.pi) * g.zh**n / (g.vh * np.maximum(g.zi, g.zo))
-    return fit["specular"][c] * power * g.schlick(fit["fresnelReflectance"])
+    return np.outer(power * g.schlick(fit["fresnelReflectance"]), fit["specular"])
 
 
-def plain_lafortune(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_lafortune(g: Angles, fit: dict[str, Any]) -> Array:
     n, largest = fit["sharpness"], max(-fit["Cxy"], fit["Cz"])
     base = np.maximum(0, fit["Cxy"] * g.level + fit["Cz"] * g.zi * g.zo) / largest
-    return fit["specular"][c] * (n + 2) / (2 * np.pi) * base**n
+    return np.outer((n + 2) / (2 * np.pi) * base**n, fit["specular"])
 
 
-def plain_he(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_he(g: Angles, fit: dict[str, Any]) -> Array:
     """All terms of the sum that count, one by one."""
     sigma0, tau, n = fit["roughness"] / 0.65, fit["autocorrelation"] / 0.65, max(fit["eta"], 1.0)
     shadow, k = 1.0, 0.0
@@ -124,24 +124,29 @@ def plain_he(g: Angles, fit: dict[str, Any], c: int) -> Array:
     total = np.zeros_like(x)
     for m in range(1, int(height.max() + 40 * np.sqrt(height.max()) + 200)):
         total += np.exp(m * np.log(height) - height - x / m - special.gammaln(m + 1)) / m
-    refracted = np.sqrt(1 - (1 - g.vh**2) / n**2)
-    across = (g.vh - n * refracted) / (g.vh + n * refracted)
-    along = (n * g.vh - refracted) / (n * g.vh + refracted)
     d = (np.pi * tau) ** 2 / 4 * total
-    bent = (2 * g.vh / g.zh) ** 2 * shadow * (across**2 + along**2) / 2
-    return fit["specular"][c] * bent * d / (np.pi * g.zi * g.zo)
+    bent = (2 * g.vh / g.zh) ** 2 * shadow * unpolarized(g, n)
+    return np.outer(bent * d / (np.pi * g.zi * g.zo), fit["specular"])
 
 
-def plain_low(g: Angles, fit: dict[str, Any], c: int) -> Array:
-    n = fit["eta"]
+def unpolarized(g: Angles, n: float) -> Array:
+    """Fresnel's equations."""
     refracted = np.sqrt(1 - (1 - g.vh**2) / n**2)
     across = (g.vh - n * refracted) / (g.vh + n * refracted)
     along = (n * g.vh - refracted) / (n * g.vh + refracted)
-    s = fit["A"][c] / (1 + fit["B"] * (1 - g.zh)) ** fit["C"]
-    return s * g.masking * (across**2 + along**2) / 2 / (np.pi * g.zi * g.zo)
+    return (across**2 + along**2) / 2
 
 
-def plain_bagher(g: Angles, fit: dict[str, Any], c: int) -> Array:
+def plain_low(g: Angles, fit: dict[str, Any]) -> Array:
+    s = np.outer(1 / (1 + fit["B"] * (1 - g.zh)) ** fit["C"], fit["A"])
+    return s * (g.masking * unpolarized(g, fit["eta"]) / (np.pi * g.zi * g.zo))[:, None]
+
+
+def plain_bagher(g: Angles, fit: dict[str, Any]) -> Array:
+    return np.stack([plain_bagher_channel(g, fit, c) for c in range(3)], -1)
+
+
+def plain_bagher_channel(g: Angles, fit: dict[str, Any], c: int) -> Array:
     alpha, p, k = fit["alpha"][c], fit["p"][c], fit["k"][c]
     t = alpha + g.tan2 / alpha
     value = fit["specular"][c] * fit["K"][c] * np.exp(-t) / t**p / (np.pi * g.zh**4)
@@ -178,10 +183,10 @@ def test_values_are_those_of_the_tables_formulas(name: str, file: Path, publishe
     found = published[name].model(Pairs.from_directions(torch.from_numpy(wi), torch.from_numpy(wo))).detach().numpy()
     assert published[name].materials == list(raw) and len(raw) == COUNTS[name]
     for row, numbers in zip(found, raw.values(), strict=True):
-        for c, factor in enumerate((1, 1.15, 1.66) if name.startswith("ngan") else (1, 1, 1)):
-            expected = factor * (numbers["diffuse"][c] / math.pi + PLAIN[name](g, numbers, c))
-            # 1 - zh and zh^n of the plain formulas lose digits where lobes are sharp.
-            np.testing.assert_allclose(row[:, c], expected, rtol=1e-7, atol=1e-12)
+        factor = np.array((1, 1.15, 1.66) if name.startswith("ngan") else (1, 1, 1))
+        expected = factor * (np.array(numbers["diffuse"]) / math.pi + PLAIN[name](g, numbers))
+        # 1 - zh and zh^n of the plain formulas lose digits where lobes are sharp.
+        np.testing.assert_allclose(row, expected, rtol=1e-7, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", PLAIN)
