@@ -6,6 +6,9 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from PIL import Image
+from torch import Tensor
+
+from torchbrdf.images import to_bytes
 
 
 def template(name: str) -> Template:
@@ -18,6 +21,13 @@ def template(name: str) -> Template:
 def embed_png(path: Path) -> str:
     """A PNG file as a data URI."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+
+
+def embed_display(display: Tensor, kind: str, **options: object) -> str:
+    """Display values `(H, W, 3)` as a data URI of "jpeg" or "webp"; options are Pillow's."""
+    data = io.BytesIO()
+    Image.fromarray(to_bytes(display)).save(data, format=kind, **options)
+    return f"data:image/{kind};base64," + base64.b64encode(data.getvalue()).decode()
 
 
 def embed_webp(path: Path) -> str:

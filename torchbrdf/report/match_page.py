@@ -1,14 +1,11 @@
 """match.html: each match beside its measurement, the runners-up, and where the match is bad."""
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from PIL import Image
 from torch import Tensor
 
 from torchbrdf.experiment.labels import difference_label, loss_label
@@ -18,9 +15,9 @@ from torchbrdf.experiment.matching.judge import Brdf, Means, picked_out
 from torchbrdf.experiment.matching.shortfall import Angles, Part
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, color_difference
 from torchbrdf.files import write_text
-from torchbrdf.images import composite, to_bytes
+from torchbrdf.images import composite
 from torchbrdf.perception.discrimination.words import MEANING, scale
-from torchbrdf.report.embed import template
+from torchbrdf.report.embed import embed_display, template
 
 # Fits of a material whose pictures are on the page, the match among them.
 PICTURED = 4
@@ -163,9 +160,7 @@ def _map(picture: Tensor, reference: Tensor) -> Tensor:
 
 
 def _webp(display: Tensor) -> str:
-    data = io.BytesIO()
-    Image.fromarray(to_bytes(display)).save(data, format="WEBP", quality=QUALITY)
-    return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()
+    return embed_display(display, "webp", quality=QUALITY)
 
 
 def _parameters(values: Mapping[str, Any]) -> list[tuple[str, str]]:

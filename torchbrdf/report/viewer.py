@@ -1,25 +1,22 @@
 """The viewer: materials and their fits side by side, to turn and to wipe between, in one self-contained page."""
 
-import base64
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.files import destination, write_text
-from torchbrdf.images import DIFFERENCES, ToneMap, composite, to_bytes
+from torchbrdf.images import DIFFERENCES, ToneMap, composite
 from torchbrdf.measured import Measured
 from torchbrdf.perception.discrimination.words import MEANING, said, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
-from torchbrdf.report.embed import template
+from torchbrdf.report.embed import embed_display, template
 from torchbrdf.report.sheet import check_pixels
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
@@ -101,10 +98,7 @@ def _differences(items: Sequence[Item], display: Tensor, mask: Tensor) -> list[l
 
 
 def _jpeg(display: Tensor) -> str:
-    """Display values `(H, W, 3)` as a data URI."""
-    data = io.BytesIO()
-    Image.fromarray(to_bytes(display)).save(data, format="JPEG", quality=QUALITY, subsampling="4:4:4", optimize=True)
-    return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode()
+    return embed_display(display, "jpeg", quality=QUALITY, subsampling="4:4:4", optimize=True)
 
 
 def _page(
