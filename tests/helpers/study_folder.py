@@ -195,6 +195,12 @@ class Client:
         self._connection.close()
 
 
+def give_answers(client, link, first, count):
+    """Give some answers; all are acknowledged."""
+    for trial in range(first, first + count):
+        assert client.tell(f"{link}/answer", {"trial": trial, "side": "left", "response_time": 1.5})[0] == 200
+
+
 def begin(client) -> str:
     """The link of a new observer, by Flask's own client."""
     return client.post("/begin", json={"agreed": True}).json["link"]
@@ -206,6 +212,14 @@ def ready(client) -> str:
     assert client.post(f"{link}/profile", json=REPORTS).status_code == 200
     assert client.post(f"{link}/screen", json=SCREEN).status_code == 200
     return link
+
+
+def admitted(store):
+    """An observer who may answer."""
+    token = store.begin(EXPERIMENT)
+    store.report(token, REPORTS, True)
+    store.record_screen(token, SCREEN)
+    return token
 
 
 def answer(client, link: str, trial: int, side: str = "left", seconds: float = 1.0):

@@ -12,19 +12,14 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
-from helpers.study_folder import BIRDS, EXPERIMENT, REPORTS, SCREEN, make_study
+from helpers.study_folder import BIRDS, EXPERIMENT, REPORTS, SCREEN, admitted, make_study
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.study import Experiment, Stimulus, database, read_answers, trials, write_answers
+from torchbrdf.study import Experiment, database, read_answers, trials, write_answers
 from torchbrdf.study import store as module
 from torchbrdf.study.design import observer_seed
 from torchbrdf.study.store import STORE, FullError, IneligibleError, NotNowError, Store, UnknownObserverError
-
-
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory):
-    return make_study(tmp_path_factory.mktemp("study"))
 
 
 @pytest.fixture
@@ -32,14 +27,6 @@ def store(plan, tmp_path):
     made = Store(tmp_path / STORE, plan)
     yield made
     made.close()
-
-
-def ready(store):
-    """An observer who may answer."""
-    token = store.begin(EXPERIMENT)
-    store.report(token, REPORTS, True)
-    store.record_screen(token, SCREEN)
-    return token
 
 
 def test_an_observer_has_the_trials_of_the_design(store, plan):
@@ -80,7 +67,7 @@ def test_numbers_are_those_of_an_experiment_and_names_of_all(plan, tmp_path):
 
 
 def test_a_whole_session(store, plan, tmp_path):
-    token = ready(store)
+    token = admitted(store)
     before = datetime.now(UTC)
     for k in range(18):
         state = store.answer(token, k, ("left", "right")[k % 3 == 0], 0.5 + k)
@@ -105,7 +92,7 @@ def test_a_whole_session(store, plan, tmp_path):
     ("position", "side"), [(0, "left"), (2, "left"), (-1, "right"), (10**40, "left"), (18, "left")]
 )
 def test_only_the_current_trial_can_be_answered(store, position, side):
-    token = ready(store)
+    token = admitted(store)
     store.answer(token, 0, "right", 1.0)
     with pytest.raises(NotNowError):
         store.answer(token, position, side, 1.0)
@@ -149,7 +136,7 @@ def test_who_is_screened_out_is_recorded(store):
 
 
 def test_one_of_many_answers_at_once_counts(store, plan):
-    token = ready(store)
+    token = admitted(store)
     other = Store(store.path, plan)
     barrier, taken = threading.Barrier(8), []
 
@@ -176,7 +163,7 @@ def test_one_of_many_answers_at_once_counts(store, plan):
 
 
 def test_an_answer_is_on_the_disk_when_it_is_acknowledged(store, plan, tmp_path):
-    token = ready(store)
+    token = admitted(store)
     store.answer(token, 0, "left", 1.25)
     copy = tmp_path / "copy"
     copy.mkdir()
@@ -191,7 +178,7 @@ def test_an_answer_is_on_the_disk_when_it_is_acknowledged(store, plan, tmp_path)
 
 
 def test_the_database_itself_refuses_doubles(store):
-    token = ready(store)
+    token = admitted(store)
     store.answer(token, 0, "left", 1.0)
     connection = store._database.connection()
     for row in ((1, 0, "right"), (1, 18, "left"), (2, 0, "left"), (1, 1, "up")):
@@ -211,7 +198,7 @@ def locked(path):
 
 
 def test_a_locked_file_keeps_nobody_waiting(store):
-    token = ready(store)
+    token = admitted(store)
     with locked(store.path):
         began = time.monotonic()
         with ThreadPoolExecutor(8) as pool:
@@ -227,7 +214,7 @@ def test_a_locked_file_keeps_nobody_waiting(store):
 
 
 def test_after_a_failed_write_it_goes_on(store, monkeypatch):
-    token = ready(store)
+    token = admitted(store)
 
     def broken(*_):
         raise RuntimeError("in the middle of a transaction")
@@ -241,7 +228,7 @@ def test_after_a_failed_write_it_goes_on(store, monkeypatch):
 
 
 def test_writes_of_many_threads_wait_for_the_disk_together(store):
-    tokens = [ready(store) for _ in range(16)]
+    tokens = [admitted(store) for _ in range(16)]
     commits = []
     kept = store._database._written.set
     store._database._written.set = lambda: (commits.append(1), kept())
@@ -272,7 +259,7 @@ def answers_in(path, copy):
 def test_a_copy_of_the_file_alone_is_whole(store, tmp_path):
     copy = tmp_path / "copy.sqlite"
     assert answers_in(store.path, copy) == 0  # tables are there at once
-    tokens = [ready(store) for _ in range(3)]
+    tokens = [admitted(store) for _ in range(3)]
     with store.checkpoints():
         for k in range(12):
             for token in tokens:
@@ -302,40 +289,8 @@ def test_the_log_does_not_grow(store):
     assert 0 < max(sizes) < 2 * sizes[0]
 
 
-@pytest.mark.parametrize("loss", ["file", "log", "index", "folder", "replaced", "emptied"])
-def test_what_is_lost_is_not_acknowledged(plan, tmp_path, loss):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    store = Store(folder / STORE, plan)
-    token, other = ready(store), ready(store)
-    store.answer(token, 0, "left", 1.0)
-    away = tmp_path / "away"
-    gone = {"folder": folder, "log": folder / f"{STORE}-wal", "index": folder / f"{STORE}-shm"}.get(loss, store.path)
-    if loss == "emptied":
-        gone.write_bytes(b"")
-    else:
-        gone.rename(away)
-    if loss == "replaced":
-        shutil.copy(away, gone)
-    for _ in range(2):  # also when it is sent again
-        for write in (lambda: store.answer(token, 1, "left", 1.0), lambda: store.begin(EXPERIMENT)):
-            with pytest.raises(DataError, match="removed or replaced while in use, so nothing is recorded; put it ba"):
-                write()
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DataError, match="removed or replaced while in use"):
-        pool.submit(store.state, token).result()  # a new thread, which would open another file
-    if loss == "emptied":
-        store.close()
-        return
-    if loss == "replaced":
-        gone.unlink()
-    away.rename(gone)
-    assert store.answer(token, 1, "right", 1.0).position == 2  # it was put back
-    assert store.answer(other, 0, "right", 1.0).position == 1
-    store.close()
-
-
 def test_a_file_that_goes_away_during_a_write(store, tmp_path, monkeypatch):
-    token = ready(store)
+    token = admitted(store)
 
     def late():
         store.path.rename(tmp_path / "away")
@@ -354,126 +309,6 @@ def test_no_more_begin_than_may(store):
     assert len(store.profiles()) == 2
 
 
-def test_it_is_there_when_opened_again(plan, tmp_path):
-    store = Store(tmp_path / STORE, plan)
-    token = ready(store)
-    store.answer(token, 0, "left", 1.0)
-    kept = store.answers(), store.profiles(), store.state(token)
-    store.close()
-    assert [path.name for path in tmp_path.iterdir()] == [STORE]
-    # Words, screening, and what this experiment does not show, may change.
-    more = (Experiment("duo", "Two", ("wren", "heron")), replace(plan.experiments[0], title="Other"))
-    materials = tuple(
-        replace(one, stimuli={**one.stimuli, "measured": Stimulus("x.png"), "new": Stimulus("y.png")})
-        for one in plan.materials
-    )
-    other = replace(plan, materials=materials, experiments=more, texts={"title": "Other"}, screening={})
-    again = Store(tmp_path / STORE, other)
-    assert (again.answers(), again.profiles(), again.state(token)) == kept
-    again.begin(EXPERIMENT)
-    assert again.counts(EXPERIMENT) == (2, 1)
-    again.close()
-
-
-def test_another_plan_is_refused(plan, tmp_path):
-    first = plan.materials[0]
-    moved = replace(first, stimuli={**first.stimuli, "wren": Stimulus("renders/other.png")})
-    others = [
-        replace(plan, seed=6),
-        replace(plan, materials=plan.materials[:2]),
-        replace(plan, materials=plan.materials[::-1]),
-        replace(plan, materials=(moved, *plan.materials[1:])),
-        replace(plan, materials=(replace(first, reference="renders/other.png"), *plan.materials[1:])),
-        replace(plan, experiments=(Experiment(EXPERIMENT, "All four", ("kestrel", "wren", "heron")),)),
-        replace(plan, experiments=(replace(plan.experiments[0], repeats=2),)),
-        replace(plan, experiments=(replace(plan.experiments[0], name="quintet"),)),
-    ]
-    for other in others:  # nobody came yet
-        Store(tmp_path / STORE, other).close()
-    late = Store(tmp_path / STORE, others[0])
-    store = Store(tmp_path / STORE, plan)
-    token = ready(store)
-    store.close()
-    for other in others:
-        with pytest.raises(DataError) as caught:
-            Store(tmp_path / STORE, other)
-        said = str(caught.value)
-        assert said.startswith(
-            f"{tmp_path / STORE}: experiment 'quartet' was begun with other materials, stimuli or seed"
-        )
-        assert "\n" not in said and said.endswith("restore study.json, or move study.sqlite away")
-    with pytest.raises(DataError, match="was begun with other materials"):
-        late.begin(EXPERIMENT)  # opened before
-    late.close()
-    store = Store(tmp_path / STORE, plan)
-    assert store.state(token).stage == "trials" and store.counts(EXPERIMENT) == (1, 0)
-    store.close()
-
-
-def test_a_seed_may_be_large(plan, tmp_path):
-    large = replace(plan, seed=10**30)
-    store = Store(tmp_path / STORE, large)
-    token = ready(store)
-    store.answer(token, 0, "left", 1.0)
-    assert store.answers()[0].seed == observer_seed(large, 0) == store.profiles()[0]["seed"]
-    store.close()
-
-
-@pytest.mark.parametrize("there", ["text", "folder", "no folder"])
-def test_what_is_no_database_gets_one_line(plan, tmp_path, there):
-    path = tmp_path / STORE if there != "no folder" else tmp_path / "nowhere" / STORE
-    if there == "text":
-        path.write_text("answers, for sure\n" * 100)
-    elif there == "folder":
-        path.mkdir()
-    with pytest.raises(
-        DataError, match=r"study\.sqlite: expected the database of a study that can be written, found .+$"
-    ):
-        Store(path, plan)
-
-
-DAMAGES = {
-    "a table is gone": "DROP TABLE trials",
-    "a column is called otherwise": "ALTER TABLE answers RENAME COLUMN side TO hand",
-    "a time is text": "UPDATE answers SET response_time = 'long'",
-    "a time is endless": "UPDATE answers SET response_time = 9e999",
-    "a seed is none": "UPDATE observers SET seed = 'seven'",
-    "a name has two lines": "UPDATE trials SET material = char(97, 10, 98)",
-    "a name is bytes": "UPDATE trials SET left = x'ff00'",
-    "a kind is unknown": "UPDATE trials SET kind = 'other'",
-    "more answers than trials": "UPDATE observers SET trials = -1",
-    "a profile is no JSON": "UPDATE observers SET reports = '{'",
-    "pages are damaged": "",
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_database_is_named_in_one_line(plan, tmp_path, damage):
-    store = Store(tmp_path / STORE, plan)
-    token = ready(store)
-    store.answer(token, 0, "left", 1.0)
-    store.close()
-    if DAMAGES[damage]:
-        with sqlite3.connect(tmp_path / STORE) as db:
-            db.execute("PRAGMA ignore_check_constraints = ON")
-            db.execute(DAMAGES[damage])
-        db.close()
-    else:
-        data = bytearray((tmp_path / STORE).read_bytes())
-        data[4096:] = b"\xff" * (len(data) - 4096)
-        (tmp_path / STORE).write_bytes(data)
-    with pytest.raises(DataError, match=r"study\.sqlite: .*(expected|database)"):
-        use_all(tmp_path / STORE, plan, token)
-
-
-def use_all(path, plan, token):
-    store = Store(path, plan)
-    try:
-        store.answers(), store.profiles(), store.counts(EXPERIMENT), store.trial(store.state(token), 0)
-    finally:
-        store.close()
-
-
 def test_an_unknown_experiment(store):
     with pytest.raises(TorchbrdfError, match=r"^unknown experiment 'quartett'; .* did you mean 'quartet'\?$"):
         store.begin("quartett")
@@ -484,7 +319,7 @@ def test_a_user_exports_and_scales_what_observers_answered(tmp_path, capsys):
     plan = make_study(tmp_path, materials=2)
     store = Store(tmp_path / STORE, plan)
     for _ in range(3):
-        token = ready(store)
+        token = admitted(store)
         for position in range(12):
             shown = store.trial(store.state(token), position)
             side = "left" if BIRDS.index(shown.left) < BIRDS.index(shown.right) else "right"
