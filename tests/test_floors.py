@@ -110,11 +110,11 @@ def test_the_document_names_the_rooms_that_there_are() -> None:
     ("old", "new", "expected"),
     [
         ("| 1 | `lobes`, ", "| 1 | ", "lobes, of which one has no floor"),
-        ("`pairs`, `half_difference`", "`half_difference`", "pairs, of which one has no floor"),
+        ("`pairs`, `quantities`", "`quantities`", "pairs, of which one has no floor"),
         ("| 8 | `cli` |", "| 3 | `cli` |", "cli imports fitting, which is not below it"),
         ("| 7 | `recipes` |", "| 2 | `recipes` |", "recipes imports fitting, which is not below it"),
         (
-            "| `errors`, `half_difference`, `precision`, `roots` |",
+            "| `errors`, `precision`, `quantities` |",
             "| `files` |",
             "pairs imports errors, which is not below it",
         ),

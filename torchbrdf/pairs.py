@@ -7,15 +7,13 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
-from torchbrdf.half_difference import directions, half_vector, nonzero, norm, phi_d
 from torchbrdf.precision import HALVES
-from torchbrdf.roots import safe_ratio, safe_sqrt
+from torchbrdf.quantities import QUANTITIES, check_max_theta, derived, of_directions, of_half_diff
+
+__all__ = ["QUANTITIES", "Pairs", "check_max_theta", "take"]
 
 Index = Tensor | slice | list[int] | None
 Owner = Callable[..., object] | type | ModuleType
-
-QUANTITIES = ("wi", "wo", "cos_i", "cos_o", "cos_h", "cos_d", "tan2_h", "theta_h", "theta_d", "phi_d", "above_horizon")
-"""What a `Pairs` can hold and be asked for."""
 
 
 class Pairs:
@@ -86,20 +84,7 @@ class Pairs:
         dtype = torch.promote_types(wi.dtype, wo.dtype)
         if dtype in HALVES:
             return cls.from_directions(wi.float(), wo.float()).to(dtype=dtype)
-        wi, wo = wi.to(dtype), wo.to(dtype)
-        half = half_vector(wi, wo)
-        square = half.square()
-        horizontal = square[..., 0] + square[..., 1]
-        length = safe_sqrt(horizontal + square[..., 2])
-        return cls(
-            wi=wi,
-            wo=wo,
-            cos_i=wi[..., 2],
-            cos_o=wo[..., 2],
-            cos_h=half[..., 2] / nonzero(length),
-            cos_d=length / 2,
-            tan2_h=safe_ratio(horizontal, square[..., 2]),
-        )
+        return cls(**of_directions(wi.to(dtype), wo.to(dtype)))
 
     @classmethod
     def from_half_diff(cls, theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> "Pairs":
@@ -125,19 +110,7 @@ class Pairs:
         dtype = torch.promote_types(torch.promote_types(theta_h.dtype, theta_d.dtype), phi_d.dtype)
         if dtype in HALVES:
             return cls.from_half_diff(theta_h.float(), theta_d.float(), phi_d.float()).to(dtype=dtype)
-        theta_h, theta_d, phi_d = theta_h.to(dtype), theta_d.to(dtype), phi_d.to(dtype)
-        sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
-        even, odd = cos_h * cos_d, sin_h * sin_d * phi_d.cos()
-        return cls(
-            theta_h=theta_h,
-            theta_d=theta_d,
-            phi_d=phi_d,
-            cos_i=even - odd,
-            cos_o=even + odd,
-            cos_h=cos_h,
-            cos_d=cos_d,
-            tan2_h=(sin_h / torch.where(cos_h == 0, torch.finfo(dtype).tiny, cos_h)).square(),
-        )
+        return cls(**of_half_diff(theta_h.to(dtype), theta_d.to(dtype), phi_d.to(dtype)))
 
     @classmethod
     def from_cosines(
@@ -174,7 +147,7 @@ class Pairs:
         value = self._known.get(name)
         if value is None:
             wide = self.widened()
-            value = self._derive(name) if wide is self else wide._get(name)
+            value = derived(name, self._known, self._get) if wide is self else wide._get(name)
             if wide is not self and value.dtype != torch.bool:
                 value = value.to(self.dtype)
             self._known[name] = value
@@ -219,29 +192,6 @@ class Pairs:
     def __getstate__(self) -> dict[str, object]:
         """What is cached is made again by whoever owns it."""
         return {"_known": self._known, "_cached": {}}
-
-    def _derive(self, name: str) -> Tensor:
-        known = self._known
-        if name == "above_horizon":
-            return (self.cos_i > 0) & (self.cos_o > 0)
-        if name == "tan2_h" and "cos_h" in known:
-            square = self.cos_h.square()
-            return safe_ratio((1 - square).clamp_min(0), square)
-        if name == "theta_h" and ("tan2_h" in known or "cos_h" in known):
-            return torch.atan2(safe_sqrt(self.tan2_h), torch.ones_like(self.tan2_h))
-        if name == "theta_d" and "wi" in known:
-            return torch.atan2(
-                norm(self.wi - self.wo),
-                norm(half_vector(self.wi, self.wo)),
-            )
-        if name == "theta_d" and "cos_d" in known:
-            return torch.atan2(safe_sqrt((1 - self.cos_d.square()).clamp_min(0)), self.cos_d)
-        if name == "phi_d" and "wi" in known:
-            return phi_d(self.wi, self.wo)
-        if name in ("wi", "wo") and "phi_d" in known:
-            wi, wo = directions(self.theta_h, self.theta_d, self.phi_d)
-            return wi if name == "wi" else wo
-        raise ShapeError(f"Pairs: {name} is needed, but only {', '.join(sorted(known))} were given")
 
     @property
     def cos_i(self) -> Tensor:
@@ -433,14 +383,13 @@ class Pairs:
         if not any(value.dtype in HALVES for value in self._known.values()):
             return self
         wide = self.to(dtype=torch.float32)
-        known = wide._known
+        wide._cached = {}
         # What was given comes first, and what was derived of it later.
-        given = next((name for name in known if name in ("wi", "theta_h")), "")
+        known, given = wide._known, next((name for name in wide._known if name in ("wi", "theta_h")), "")
         if given == "wi" and "wo" in known:
             return Pairs.from_directions(known["wi"], known["wo"])
         if given == "theta_h" and "theta_d" in known and "phi_d" in known:
             return Pairs.from_half_diff(known["theta_h"], known["theta_d"], known["phi_d"])
-        wide._cached = {}
         return wide
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Pairs":
@@ -460,23 +409,6 @@ class Pairs:
             tensor([0.5000], dtype=torch.float64)
         """
         return self._map(lambda value, _: value.to(device, None if value.dtype == torch.bool else dtype))
-
-
-def check_max_theta(max_theta: float) -> None:
-    """Refuse a largest angle from the normal that is none.
-
-    Args:
-        max_theta: degrees.
-
-    Raises:
-        UsageError: it is not above 0 and at most 90.
-
-    Example:
-        >>> from torchbrdf.pairs import check_max_theta
-        >>> check_max_theta(80.0)
-    """
-    if not 0 < max_theta <= 90:
-        raise UsageError(f"max_theta: expected an angle above 0 and at most 90 degrees, found {max_theta}")
 
 
 def take(value: Tensor, index: Tensor | slice | list[int], dim: int) -> Tensor:
