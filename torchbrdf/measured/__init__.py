@@ -2,9 +2,10 @@
 
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
 from torchbrdf.measured.describe import describe
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Lookup, Measured, Samples
+from torchbrdf.measured.measured import Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.merl_table import merl_values
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo

@@ -12,7 +12,7 @@ from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
-from torchbrdf.measured.measured import Interpolation
+from torchbrdf.measured.format import Interpolation
 from torchbrdf.pairs import Pairs
 
 CHUNK = 1 << 17

@@ -9,7 +9,8 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Measured
+from torchbrdf.measured.format import FORMATS, BrdfFormat
+from torchbrdf.measured.measured import Measured
 from torchbrdf.names import LONGEST_NAME, clean_name
 from torchbrdf.reading import reading
 

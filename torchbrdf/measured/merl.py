@@ -19,8 +19,8 @@ from torch import Tensor
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.files import replacing
 from torchbrdf.measured.catalogue import merl_name
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
 from torchbrdf.reading import reading

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
 from torchbrdf.measured.warp import Warp
 from torchbrdf.pairs import Pairs

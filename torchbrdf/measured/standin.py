@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
-from torchbrdf.measured.measured import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.merl import bin_centers
 from torchbrdf.pairs import Pairs
 
