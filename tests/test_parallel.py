@@ -15,7 +15,7 @@ import torch
 from torchbrdf import parallel
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.parallel import process_map, thread_map
-from torchbrdf.workers import WORKERS
+from torchbrdf.workers import Workers
 
 
 @pytest.fixture(params=["threads", "processes"])
@@ -53,9 +53,9 @@ def test_processes_are_not_this_one(processes):
 
 def test_little_work_is_done_in_threads(two_threads, monkeypatch):
     monkeypatch.delenv("TORCHBRDF_PROCESSES", raising=False)
-    WORKERS.kill()
+    monkeypatch.setattr(parallel, "WORKERS", Workers())  # none of which runs
     assert set(process_map(lambda k: os.getpid(), range(4))) == {os.getpid()}
-    assert not WORKERS.are_ready(2)
+    assert not parallel.WORKERS.are_ready(2)
 
 
 @pytest.mark.slow

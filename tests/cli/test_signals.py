@@ -30,7 +30,7 @@ def start(out, processes="never", prefix=""):
     while not out.exists() or len(workers(process)) < wanted:
         assert process.poll() is None and time.monotonic() < until
         time.sleep(0.1)
-    time.sleep(2)
+    time.sleep(1)
     return process
 
 
@@ -56,8 +56,10 @@ def assert_gone(processes):
     assert not left
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("processes", ["never", pytest.param("always", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "processes"),
+    [("SIGTERM", "never"), pytest.param("SIGHUP", "always", marks=pytest.mark.slow)],
+)
 def test_a_signal_ends_it_as_ctrl_c_does(tmp_path, name, processes):
     number = signal.Signals[name]
     process = start(tmp_path / "out", processes)
@@ -141,7 +143,7 @@ def hears(pid, number):
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc to see that signals are heard")
 @pytest.mark.parametrize(
     "delays",
-    [(0, 0.15, 0.4), pytest.param([k * 0.02 for k in range(40)], marks=pytest.mark.slow)],
+    [(0, 0.15, 0.4), pytest.param([k * 0.06 for k in range(14)], marks=pytest.mark.slow)],
     ids=["few", "many"],
 )
 def test_a_signal_while_modules_are_imported_ends_it_as_later(tmp_path, delays):

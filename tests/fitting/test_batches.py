@@ -15,7 +15,6 @@ from torchbrdf.fitting import Batches, Status, cross_score, fit
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.losses import RMSLoss
 from torchbrdf.measured import load, standins
-from torchbrdf.workers import WORKERS
 
 
 def materials(names):
@@ -100,8 +99,6 @@ def deadly_loss(folder, times):
 def processes(two_threads, monkeypatch):
     monkeypatch.setenv("TORCHBRDF_PROCESSES", "always")
     monkeypatch.setattr("torchbrdf.fitting.scoring.PROCESS_THRESHOLD", 0)
-    yield
-    WORKERS.kill()
 
 
 def same(one, other, rows):
@@ -114,7 +111,7 @@ def same(one, other, rows):
 
 
 def test_fits_whose_worker_is_killed_are_made_again_and_equal(processes, tmp_path, monkeypatch):
-    measured = load(standins()).batch(range(4, 10))
+    measured = load(standins()).batch(range(4, 10), torch.arange(0, 900_000, 40))
     options = {"samples": 300, "max_theta": 30.0}
     killed = fit(make_model("ward", 1), measured, deadly_loss(tmp_path, 1), **options)
     assert len(list(tmp_path.iterdir())) == 1
@@ -127,7 +124,7 @@ def test_fits_whose_worker_is_killed_are_made_again_and_equal(processes, tmp_pat
 
 @pytest.mark.slow
 def test_a_material_that_kills_its_worker_twice_says_so_and_leaves_the_others_be(processes, tmp_path, monkeypatch):
-    measured = load(standins()).batch(range(4, 10))
+    measured = load(standins()).batch(range(4, 10), torch.arange(0, 900_000, 40))
     options = {"samples": 300, "max_theta": 30.0}
     loss = deadly_loss(tmp_path, 2)
     found = fit(make_model("ward", 1), measured, loss, **options)

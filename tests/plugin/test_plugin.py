@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,10 +52,40 @@ def paint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def torchbrdf(installed: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command line in a process of its own."""
-    command = [sys.executable, "-m", "torchbrdf", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=installed)
+# Commands one after the other in one process, which imports torch and the package once.
+COMMANDS = """
+import contextlib, io, json, sys
+from torchbrdf.cli import main
+for name, arguments in json.loads(sys.argv[1]).items():
+    said, complaints = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complaints):
+        status = main(arguments)
+    print(json.dumps([name, [status, complaints.getvalue()]]))
+"""
+
+
+@pytest.fixture(scope="session")
+def ran(
+    installed: dict[str, str], paint: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[int, str, Path]]:
+    """Commands that use the package: of each its status, what it complained about, and its folder."""
+    folder = tmp_path_factory.mktemp("ran")
+    fit = ["fit", paint, "--model", "myggx", "--lobes", 1]
+    rendered = ["--loss", "rendered", "--difference", "mydifference", "--size", 16, "--lights", 16, "--diffuse", "fit"]
+    commands = {
+        "recipe": ["run", "myrecipe", "quick=true"],
+        "fit": [*fit, "--loss", "rms", "--strategy", "mystrategy"],
+        "render": ["render", folder / "fit" / "fits.json", "--size", 24, "--shape", "sphere"],
+        "loss": [*fit, "--loss", "myloss"],
+        "difference": [*fit, *rendered],
+        "export": ["export", CHECKOUT / "assets" / "standins.json", "--to", "myexporter"],
+    }
+    arguments = {name: [*map(str, own), "--out", str(folder / name)] for name, own in commands.items()}
+    program = [sys.executable, "-c", COMMANDS, json.dumps(arguments)]
+    done = subprocess.run(program, capture_output=True, text=True, env=installed)
+    assert done.returncode == 0, done.stderr
+    said = dict(map(json.loads, done.stdout.splitlines()))
+    return {name: (*said[name], folder / name) for name in commands}
 
 
 def assert_only_the_broken_one_is_reported(said: str) -> None:
@@ -63,53 +94,49 @@ def assert_only_the_broken_one_is_reported(said: str) -> None:
     assert line.startswith(expected + "ModuleNotFoundError")
 
 
+def record_of(ran: dict[str, tuple[int, str, Path]], name: str) -> dict[str, Any]:
+    """The only fit of a command."""
+    status, said, folder = ran[name]
+    assert status == 0, said
+    (record,) = json.loads((folder / "fits.json").read_text())
+    return record
+
+
 @pytest.mark.slow
-def test_a_lobe_and_a_format_fit_and_are_drawn(installed: dict[str, str], paint: Path, tmp_path: Path) -> None:
-    options = ["--model", "myggx", "--lobes", 1, "--loss", "rms", "--strategy", "mystrategy", "--out", tmp_path]
-    done = torchbrdf(installed, "fit", paint, *options)
-    assert done.returncode == 0, done.stderr
-    assert_only_the_broken_one_is_reported(done.stderr)
-    (record,) = json.loads((tmp_path / "fits.json").read_text())
+def test_a_lobe_and_a_format_fit_and_are_drawn(ran: dict[str, tuple[int, str, Path]]) -> None:
+    record = record_of(ran, "fit")
+    assert_only_the_broken_one_is_reported(ran["fit"][1])
     assert (record["material"], record["model"], record["strategy"]) == ("paint", "myggx", "mystrategy")
     assert record["parameters"]["roughness"] == [pytest.approx(0.2, rel=0.5)]
-    done = torchbrdf(installed, "render", tmp_path / "fits.json", "--size", 24, "--shape", "sphere", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert any(tmp_path.glob("paint*.png"))
+    status, said, folder = ran["render"]
+    assert status == 0, said
+    assert any(folder.glob("paint*.png"))
 
 
 @pytest.mark.slow
-def test_a_loss_fits(installed: dict[str, str], paint: Path, tmp_path: Path) -> None:
-    options = ["--model", "myggx", "--lobes", 1, "--loss", "myloss", "--out", tmp_path]
-    done = torchbrdf(installed, "fit", paint, *options)
-    assert done.returncode == 0, done.stderr
-    (record,) = json.loads((tmp_path / "fits.json").read_text())
+def test_a_loss_fits(ran: dict[str, tuple[int, str, Path]]) -> None:
+    record = record_of(ran, "loss")
     assert record["loss"] == "myloss" and record["error"] < 0.5
 
 
 @pytest.mark.slow
-def test_an_image_difference_is_a_loss(installed: dict[str, str], paint: Path, tmp_path: Path) -> None:
-    options = ["--loss", "rendered", "--difference", "mydifference", "--size", 16, "--lights", 16, "--diffuse", "fit"]
-    done = torchbrdf(installed, "fit", paint, "--model", "myggx", "--lobes", 1, *options, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    (record,) = json.loads((tmp_path / "fits.json").read_text())
-    assert record["loss"] == "rendered_mydifference"
+def test_an_image_difference_is_a_loss(ran: dict[str, tuple[int, str, Path]]) -> None:
+    assert record_of(ran, "difference")["loss"] == "rendered_mydifference"
 
 
 @pytest.mark.slow
-def test_an_exporter_writes(installed: dict[str, str], tmp_path: Path) -> None:
-    done = torchbrdf(
-        installed, "export", CHECKOUT / "assets" / "standins.json", "--to", "myexporter", "--out", tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(list(tmp_path.glob("*.mine"))) == 10
+def test_an_exporter_writes(ran: dict[str, tuple[int, str, Path]]) -> None:
+    status, said, folder = ran["export"]
+    assert status == 0, said
+    assert len(list(folder.glob("*.mine"))) == 10
 
 
 @pytest.mark.slow
-def test_a_recipe_runs(installed: dict[str, str], tmp_path: Path) -> None:
-    done = torchbrdf(installed, "run", "myrecipe", "quick=true", "--out", tmp_path / "run")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "run" / "report.txt").read_text() == "lobes: abc, ashikhmin_shirley, beckmann\n"
-    assert json.loads((tmp_path / "run" / "recipe.json").read_text())["settings"]["quick"] is True
+def test_a_recipe_runs(ran: dict[str, tuple[int, str, Path]]) -> None:
+    status, said, folder = ran["recipe"]
+    assert (status, said) == (0, "")
+    assert (folder / "report.txt").read_text() == "lobes: abc, ashikhmin_shirley, beckmann\n"
+    assert json.loads((folder / "recipe.json").read_text())["settings"]["quick"] is True
 
 
 def test_everything_is_listed_and_a_broken_thing_says_why(installed: dict[str, str]) -> None:

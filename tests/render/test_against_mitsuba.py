@@ -107,7 +107,7 @@ def test_a_sphere_as_mitsuba_draws_it(material: str, merl: Path) -> None:
 
 @pytest.mark.parametrize(
     ("shape", "material"),
-    [*(slow("blob", name) for name in ("diffuse", "rough", "glossy", "table")), ("two spheres", "diffuse")],
+    [slow("blob", "glossy"), slow("blob", "table"), ("two spheres", "diffuse")],
 )
 def test_shadows_as_mitsuba_draws_them(shape: str, material: str, merl: Path) -> None:
     pytest.importorskip("embreex", reason="shadows need embreex: pip install torchbrdf[shadows]")
@@ -124,7 +124,7 @@ def test_shadows_are_seen(merl: Path) -> None:
     [DirectionalLight((0.5, 1.0, 0.4), (3.0, 2.0, 1.0)), PointLight((-1.5, 1.5, 2.5), (1.0, 2.0, 3.0))],
     ids=["directional", "point"],
 )
-@pytest.mark.parametrize("material", [slow("diffuse"), "glossy", slow("table")])
+@pytest.mark.parametrize("material", ["glossy", slow("table")])
 def test_punctual_lights_as_mitsuba_draws_them(material: str, light: PunctualLight, merl: Path) -> None:
     """One direction a pixel: nothing is left to chance, and nothing to a quadrature."""
     pytest.importorskip("embreex", reason="shadows need embreex: pip install torchbrdf[shadows]")
