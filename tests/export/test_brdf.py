@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.glsl import BrdfFile
+from helpers.glsl import BrdfFile, evaluate_all
 
 from torchbrdf.errors import DataError
 from torchbrdf.export import export
@@ -51,13 +51,14 @@ def materials(name: str) -> list[Lobe]:
 @pytest.mark.parametrize("name", WITH_GLSL)
 def test_the_shader_gives_the_values(name: str, tmp_path: Path) -> None:
     wi, wo = directions(1000)
-    pairs = Pairs.from_directions(wi, wo)
-    for model in materials(name):
+    pairs, models, files = Pairs.from_directions(wi, wo), materials(name), []
+    for model in models:
         done = export(model, "brdf", tmp_path, name=name)
         assert done.exact and done.shown is not None
+        files.append(BrdfFile.read(done.files[0]))
+    for model, found in zip(models, evaluate_all(files, wi, wo), strict=True):
         with torch.no_grad():
             values = model(pairs)
-        found = BrdfFile.read(done.files[0]).evaluate(wi, wo)
         assert (found[~pairs.above_horizon] == 0).all() and (~pairs.above_horizon).sum() > 50
         torch.testing.assert_close(found, values, rtol=TOLERANCES.get(name, 1e-4), atol=1e-7)
 

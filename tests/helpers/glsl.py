@@ -1,7 +1,9 @@
 """Files of BRDF Explorer as that reads them, and their GLSL run by OpenGL."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -63,14 +65,32 @@ class BrdfFile:
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         """Values of the shader for light from `wi`, seen from `wo`, `(N, 3)` each."""
+        return evaluate_all([self], wi, wo)[0]
+
+    @property
+    def fragment(self) -> str:
+        """The whole fragment shader."""
         uniforms = [f"uniform {'vec3' if kind == 'color' else kind} {name};" for kind, name, _ in self.parameters]
-        fragment = _FRAGMENT.format(uniforms="\n".join(uniforms), shader=self.shader)
-        values = {name: numbers if kind == "color" else numbers[-1:] for kind, name, numbers in self.parameters}
-        with opengl._ALONE, opengl._renderer(8):
-            return torch.from_numpy(_run(fragment, values, wi.float().numpy(), wo.float().numpy())).double()
+        return _FRAGMENT.format(uniforms="\n".join(uniforms), shader=self.shader)
+
+    @property
+    def values(self) -> dict[str, list[float]]:
+        """Of the parameters."""
+        return {name: numbers if kind == "color" else numbers[-1:] for kind, name, numbers in self.parameters}
 
 
-def _run(fragment: str, uniforms: dict[str, list[float]], *directions: np.ndarray) -> np.ndarray:
+def evaluate_all(files: Sequence[BrdfFile], wi: Tensor, wo: Tensor) -> list[Tensor]:
+    """Values of each file's shader; one that several have is compiled once, which is what takes time."""
+    programs: dict[str, Any] = {}
+    directions = [one.float().numpy() for one in (wi, wo)]
+    with opengl._ALONE, opengl._renderer(8):
+        found = [_run(programs, file.fragment, file.values, *directions) for file in files]
+    return [torch.from_numpy(one).double() for one in found]
+
+
+def _run(
+    programs: dict[str, Any], fragment: str, uniforms: dict[str, list[float]], *directions: np.ndarray
+) -> np.ndarray:
     from OpenGL import GL
     from OpenGL.GL import shaders
 
@@ -81,7 +101,9 @@ def _run(fragment: str, uniforms: dict[str, list[float]], *directions: np.ndarra
     GL.glBindBuffer(GL.GL_ARRAY_BUFFER, GL.glGenBuffers(1))
     GL.glBufferData(GL.GL_ARRAY_BUFFER, corners.nbytes, corners, GL.GL_STATIC_DRAW)
     kinds = (_VERTEX, GL.GL_VERTEX_SHADER), (fragment, GL.GL_FRAGMENT_SHADER)
-    program = shaders.compileProgram(*(shaders.compileShader(text, kind) for text, kind in kinds))
+    if fragment not in programs:
+        programs[fragment] = shaders.compileProgram(*(shaders.compileShader(text, kind) for text, kind in kinds))
+    program = programs[fragment]
     GL.glUseProgram(program)
     place = GL.glGetAttribLocation(program, "at")
     GL.glEnableVertexAttribArray(place)

@@ -211,8 +211,11 @@ def test_an_unknown_name_is_said_before_a_folder_is_written():
             find_recipe("fores2012")(**settings)
 
 
-# Fewer pairs to fit than quick ones have.
-FEWER = {name: {"samples": "500", "max_theta": "40"} for name in ("fores2012", "image_vs_analytic")}
+# Fewer pairs to fit than quick ones have, and fewer models.
+FEWER = {
+    "fores2012": {"samples": "200", "max_theta": "40", "models": "ward,ashikhmin_shirley"},
+    "image_vs_analytic": {"samples": "200", "max_theta": "40"},
+}
 
 
 @pytest.mark.slow  # the study below is a small one that always runs
