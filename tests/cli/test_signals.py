@@ -22,7 +22,7 @@ def start(out, processes="never", prefix=""):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "TORCHBRDF_PROCESSES": processes, "OMP_NUM_THREADS": "2"},
+        env={**os.environ, "TORCHBRDF_PROCESSES": processes, "OMP_NUM_THREADS": "2" if processes == "always" else "1"},
         start_new_session=True,
     )
     until = time.monotonic() + 120
