@@ -171,7 +171,8 @@ class FitGrid:
         total = len(self.materials) * len(self.models) * len(self.losses) * len(kinds)
         progress = self.folder.progress("fits")
         progress(len(self.records), total)
-        losses, models = list(self.losses.values()), [make_model(name, lobe_count(name, self.lobes[0])) for name in self.models]
+        models = [make_model(name, lobe_count(name, self.lobes[0])) for name in self.models]
+        losses = list(self.losses.values())
         gathered = [Gathered(group.within(self.max_theta), models, losses) for group in self.groups]
         for strategy, lobes in kinds:
             for model in self.models:
