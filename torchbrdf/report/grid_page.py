@@ -64,7 +64,7 @@ def write_grid_report(
         strategy=grid.strategy,
         diffuse=diffuse_label(grid.diffuse),
         max_theta=f"{grid.max_theta:g}",
-        samples=f"first a stratified subset of {grid.samples}, then all" if grid.samples else "all of them",
+        samples=f"first a stratified subset of {grid.samples}, then all; all at once where sums of them are enough" if grid.samples else "all of them",
         stand_in=stand_in,
         problems=problems,
         findings=findings(grid, order) + (compared.findings if compared else []),
