@@ -25,7 +25,7 @@ from torchbrdf.render.draw import SEVERAL, Brdf, is_reciprocal, render_by_transp
 SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
 DIFFERENCE = "delta_e76"
 # Pictures that are drawn at a time.
-TOGETHER = 128
+TOGETHER = 256
 # A colour difference that maps show as the brightest colour.
 BRIGHTEST = 20.0
 # Green, which is none of its colours, where there is no difference to tell.

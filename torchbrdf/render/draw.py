@@ -20,7 +20,7 @@ from torchbrdf.render.scene import Chunk, Scene
 _TABLES = 12
 # Pictures from which on a transport is worth its making, and the bytes that several may take at a time.
 SEVERAL = 4
-MEMORY = 2**29
+MEMORY = 2**30
 # Pairs on which light and viewer change places, and the mean relative difference that is none.
 _TRIED, _NONRECIPROCAL = 256, 1e-3
 
