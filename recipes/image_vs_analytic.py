@@ -84,7 +84,7 @@ class ImageVsAnalytic(FitGridRecipe):
         losses: dict[str, Loss] = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         grid = self.make_grid(folder, groups, losses, models=self.models[:1] if self.quick else self.models)
         pictures = Pictures(grid, scenes, self.differences, maps=True)
-        pictures.draw_materials()
+        pictures.draw(fits=False)
         pictures.measure_tones(fits=False)
         small = Scene(mesh, Camera(), light, size=train, light_samples=lights, cache=folder.path / "cache")
         for name in rendered:
@@ -99,7 +99,7 @@ class ImageVsAnalytic(FitGridRecipe):
             losses[f"image_driven_{name}"] = same or RenderedLoss(small, name, tone=pictures.tones[TRAINING])
             grid.own_strategies[f"image_driven_{name}"] = chooser
         grid.fit()
-        pictures.draw_fits()
+        pictures.draw(materials=False)
         pictures.compare()
         said = {
             TRAINING: f"{self.shape}, {self.environment}",

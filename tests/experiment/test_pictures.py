@@ -53,8 +53,8 @@ def scene(turn=0.0):
 
 def draw(grid, scenes, differences=("delta_e76", "log_hdr"), *, fits=True, **options):
     pictures = Pictures(grid, scenes, differences, **options)
-    pictures.draw_materials()
-    pictures.draw_fits()
+    pictures.draw(fits=False)
+    pictures.draw(materials=False)
     pictures.measure_tones(fits=fits)
     pictures.compare()
     return pictures

@@ -98,7 +98,7 @@ def deadly_loss(folder, times):
 @pytest.fixture
 def processes(two_threads, monkeypatch):
     monkeypatch.setenv("TORCHBRDF_PROCESSES", "always")
-    monkeypatch.setattr("torchbrdf.fitting.scoring.PROCESS_THRESHOLD", 0)
+    monkeypatch.setattr("torchbrdf.fitting.batching.PROCESS_THRESHOLD", 0)
 
 
 def same(one, other, rows):
@@ -116,7 +116,7 @@ def test_fits_whose_worker_is_killed_are_made_again_and_equal(processes, tmp_pat
     killed = fit(make_model("ward", 1), measured, deadly_loss(tmp_path, 1), **options)
     assert len(list(tmp_path.iterdir())) == 1
     monkeypatch.setenv("TORCHBRDF_PROCESSES", "never")
-    calm = fit(make_model("ward", 1), measured, RMSLoss(), **options)
+    calm = fit(make_model("ward", 1), measured, deadly_loss(tmp_path, 0), **options)
     assert same(killed, calm, measured.names)
     for part, expected in zip(killed.model.parameters(), calm.model.parameters(), strict=True):
         assert torch.equal(part, expected)
@@ -134,7 +134,7 @@ def test_a_material_that_kills_its_worker_twice_says_so_and_leaves_the_others_be
     assert "ended twice without an answer" in found.reason[k] and found.error[k].isnan()
     assert found.records()[k].status == "lost"
     monkeypatch.setenv("TORCHBRDF_PROCESSES", "never")
-    calm = fit(make_model("ward", 1), measured, RMSLoss(), **options)
+    calm = fit(make_model("ward", 1), measured, deadly_loss(tmp_path, 0), **options)
     assert same(found, calm, [name for name in measured.names if name not in lost])
 
 

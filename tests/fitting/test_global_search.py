@@ -9,10 +9,10 @@ from helpers.known_models import COLORED, SHAPES, Made, assert_within_bounds, me
 
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.fitting import Batches, GlobalSearch, Status, fit, score, stratified
+from torchbrdf.fitting.batching import material_batches
 from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
-from torchbrdf.fitting.scoring import material_batches
 from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes import (
     LOBES,
@@ -303,7 +303,7 @@ def test_processes_find_what_threads_find(two_threads, monkeypatch):
     measured = measured_from(two_lobes("ward", 4), some_pairs(600), materials=4)
     results = []
     for heavy in (10**9, 0):
-        monkeypatch.setattr("torchbrdf.fitting.scoring.PROCESS_THRESHOLD", heavy)
+        monkeypatch.setattr("torchbrdf.fitting.batching.PROCESS_THRESHOLD", heavy)
         results.append(fit(make_model("ward", 2), measured, RMSLoss(), samples=300))
     for one, other in zip(results[0].model.parameters(), results[1].model.parameters(), strict=True):
         assert torch.equal(one, other)
@@ -324,6 +324,6 @@ def test_a_gpu_finds_what_the_cpu_finds(strategy):
 
 def test_a_large_batch_is_cut_for_the_cache_and_for_memory():
     measured = measured_from(two_lobes("ward"), some_pairs(1000), materials=9)
-    found = list(material_batches(measured))
+    found = list(material_batches(measured, len(measured.pairs)))
     assert [k for group in found for k in group] == list(range(9))
     assert max(map(len, found)) <= -(-9 // torch.get_num_threads())

@@ -14,10 +14,11 @@ from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Lambert, Sum, Ward
 from torchbrdf.lobes.parameter_dict import with_parameters
-from torchbrdf.measured import Measured
+from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
 from torchbrdf.render import Camera, Environment, Mesh, Scene, blob, draw, render, sphere
+from torchbrdf.render.draw import render_directly
 from torchbrdf.render.light.octahedral import texel_centers
 from torchbrdf.render.transport.quadrature import FAR, NEAR, HalfVectorQuadrature
 
@@ -119,7 +120,7 @@ def test_turning_everything_changes_nothing(grove: Environment) -> None:
 
 def test_geometry_is_shared_and_the_order_kept(small: Scene) -> None:
     materials = list(MATERIALS.values())
-    together = render(materials, small)
+    together = render_directly(materials, small)
     assert together.shape == (5, 12, 12, 3)
     assert together.dtype == torch.float32
     for picture, material in zip(together, materials, strict=True):
@@ -148,7 +149,7 @@ def test_measured_materials_and_plain_functions(small: Scene, monkeypatch: pytes
     mixed = [lobes[2], measured, lambda pairs: lobes[4](pairs)[0]]
     pictures = render(mixed, small, progress=lambda done, total: calls.append((done, total)))
     order = [lobes[2], *lobes, lobes[4]]
-    assert torch.equal(pictures, render(order, small))
+    assert torch.equal(pictures, render_directly(order, small))
     assert calls[-1] == (6 * int(small.mask.sum()), 6 * int(small.mask.sum()))
     assert all(done < more for (done, _), (more, _) in pairwise(calls))
 
@@ -223,3 +224,33 @@ def test_scenes_that_cannot_be(grove: Environment) -> None:
     speck = Mesh(corners, np.array([[0, 1, 2], [3, 3, 3]]), np.ones((4, 3)), "speck.ply")
     with pytest.raises(DataError, match=r"speck\.ply: nothing to see"):
         Scene(speck, Camera(), grove, size=4)
+
+
+def test_several_pictures_come_from_one_transport_and_are_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(sphere(3), size=24, nodes=32, light_samples=128)
+    rough = torch.tensor([[0.02], [0.1], [0.4]])
+    lobes = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=rough))
+    tables = load(standins()).batch([6, 5])
+    monkeypatch.setattr(draw, "MEMORY", 3 * 4 * 2 * (2 * len(scene.pairs) + 2000))  # two at a time
+    seen: list[tuple[int, int]] = []
+    found = render([lobes, tables], scene, lambda *numbers: seen.append(numbers))
+    direct = render_directly([lobes, tables], scene)
+    assert found.shape == (5, 24, 24, 3) and seen[-1] == (10, 10)
+    for one, other in zip(found, direct, strict=True):
+        shown, expected = (part / (part + direct[0].mean()) for part in (one, other))
+        assert -10 * (shown - expected)[scene.mask].square().mean().log10() > 45
+
+
+def test_what_is_not_reciprocal_is_drawn_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Tilted(Lambert):
+        def forward(self, pairs: Pairs) -> Tensor:
+            return super().forward(pairs) * (1 + pairs.cos_i[..., None])
+
+    def never(*_: object) -> Tensor:
+        raise AssertionError
+
+    monkeypatch.setattr(draw, "render_by_transport", never)
+    scene = Scene(sphere(2), size=8, nodes=8, light_samples=16)
+    render([Tilted(albedo=0.5)] * 4, scene)
+    with pytest.raises(AssertionError):
+        render([Lambert(albedo=0.5)] * 4, scene)

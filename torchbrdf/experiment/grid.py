@@ -10,6 +10,7 @@ from torchbrdf.experiment.items import same_file
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
 from torchbrdf.fitting.parameters import has_measurable_diffuse
 from torchbrdf.fitting.strategy import Strategy, strategy_name
+from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import FitRecord, make_model, read_fits, write_fits
 from torchbrdf.lobes.model import lobe_count
 from torchbrdf.losses import Loss
@@ -170,12 +171,15 @@ class FitGrid:
         total = len(self.materials) * len(self.models) * len(self.losses) * len(kinds)
         progress = self.folder.progress("fits")
         progress(len(self.records), total)
+        models = [make_model(name, lobe_count(name, self.lobes[0])) for name in self.models]
+        losses = list(self.losses.values())
+        gathered = [Gathered(group.within(self.max_theta), models, losses) for group in self.groups]
         for strategy, lobes in kinds:
             for model in self.models:
                 count = lobe_count(model, lobes)
-                for group in self.groups:
+                for group, sums in zip(self.groups, gathered, strict=True):
                     if not self._has(strategy, model, count, group):
-                        self.records += self._fit(strategy, model, count, group, progress, total)
+                        self.records += self._fit(strategy, model, count, group, sums, progress, total)
                         self.save()
 
     def _stored(self, path: Path) -> list[FitRecord]:
@@ -205,7 +209,14 @@ class FitGrid:
         return all((name, model, loss, lobes, by) in there for name in group.names for loss, by in wanted)
 
     def _fit(
-        self, strategy: str, model: str, lobes: int, group: Measured, progress: Progress, total: int
+        self,
+        strategy: str,
+        model: str,
+        lobes: int,
+        group: Measured,
+        gathered: Gathered,
+        progress: Progress,
+        total: int,
     ) -> list[FitRecord]:
         """Fits of one model to some materials under every loss, with their errors under all of them."""
         names, losses = list(self.losses), list(self.losses.values())
@@ -224,10 +235,11 @@ class FitGrid:
                 samples=self.samples,
                 seed=self.seed,
                 progress=part_of(progress, len(self.records) + k * len(group), total),
+                gathered=gathered,
             )
             for k, loss in enumerate(losses)
         ]
-        cross = cross_score([result.model for result in results], group.within(self.max_theta), losses)
+        cross = cross_score([result.model for result in results], gathered.measured, losses, gathered)
         outliers = local_minima(cross)
         records = []
         for b, result in enumerate(results):

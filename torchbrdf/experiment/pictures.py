@@ -1,8 +1,8 @@
 """The pictures of a grid of fits in one or several scenes, and how far each is from its reference."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import matplotlib
@@ -13,16 +13,19 @@ from torchbrdf.experiment.grid import FitGrid, picture_name
 from torchbrdf.files import write_json
 from torchbrdf.images import DIFFERENCES, ToneMap, composite, read_image, write_exr, write_png
 from torchbrdf.images.differences.delta_e76 import lab
-from torchbrdf.lobes import FitRecord, model_of
+from torchbrdf.lobes import FitRecord, make_model, model_of
+from torchbrdf.lobes.model import lobe_count
 from torchbrdf.names import file_stem
 from torchbrdf.parallel import thread_map
-from torchbrdf.progress import part_of
-from torchbrdf.render import Scene, render
-from torchbrdf.render.draw import Brdf
+from torchbrdf.progress import Progress, part_of
+from torchbrdf.render import Scene
+from torchbrdf.render.draw import SEVERAL, Brdf, is_reciprocal, render_by_transport, render_directly
 
 # Image differences that reports speak of, by their registered names, and the one that they sort by.
 SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
 DIFFERENCE = "delta_e76"
+# Pictures that are drawn at a time.
+TOGETHER = 256
 # A colour difference that maps show as the brightest colour.
 BRIGHTEST = 20.0
 # Green, which is none of its colours, where there is no difference to tell.
@@ -63,19 +66,14 @@ class Pictures:
             return self.grid.shown
         return [replace(record, differences=record.pictures[scene]) for record in self.grid.shown]
 
-    def draw_materials(self) -> None:
-        """Draw the materials in every scene."""
+    def draw(self, *, materials: bool = True, fits: bool = True) -> None:
+        """Draw what is not there yet of the materials, the fits, or both, in every scene."""
+        jobs = self._references() if materials else []
+        for strategy in self.grid.strategies if fits else ():
+            for model in self.grid.models:
+                chosen = [record for record in self.grid.by_strategy(strategy) if record.model == model]
+                jobs.append((model_of(chosen, torch.float32), [self.grid.picture(record) for record in chosen]))
         for name, scene in self.scenes.items():
-            self._draw(name, scene, self._references())
-
-    def draw_fits(self) -> None:
-        """Draw the fits in every scene."""
-        for name, scene in self.scenes.items():
-            jobs = []
-            for strategy in self.grid.strategies:
-                for model in self.grid.models:
-                    chosen = [record for record in self.grid.by_strategy(strategy) if record.model == model]
-                    jobs.append((model_of(chosen, torch.float32), [self.grid.picture(record) for record in chosen]))
             self._draw(name, scene, jobs)
 
     def measure_tones(self, *, fits: bool) -> None:
@@ -114,6 +112,14 @@ class Pictures:
                 advance(done, len(drawn))
         self.grid.save()
 
+    @cached_property
+    def _render(self) -> Callable[..., Tensor]:
+        """How all pictures are drawn: alike, as they are compared."""
+        models = [make_model(name, lobe_count(name, self.grid.lobes[0])) for name in self.grid.models]
+        several = len(self.grid.materials) * (1 + len(models) * len(self.grid.losses)) >= SEVERAL
+        together = several and all(is_reciprocal(one) for own in (self.grid.groups, models) for one in own)
+        return render_by_transport if together else render_directly
+
     def _references(self, *parts: str) -> list[tuple[Brdf, list[str]]]:
         return [(group, [picture_name(name, *parts) for name in group.names]) for group in self.grid.groups]
 
@@ -122,11 +128,13 @@ class Pictures:
         jobs = [job for job in jobs if not all(self.path(one, name, ".exr").exists() for one in job[1])]
         folder, done, total = self.grid.folder, 0, sum(len(names) for _, names in jobs)
         progress = folder.progress(f"renders, {name}" if name else "renders")
-        for brdf, names in jobs:
-            for one, linear in zip(names, render(brdf, scene), strict=True):
+        for some in _parts(jobs):
+            names = [one for _, own in some for one in own]
+            pictures = self._render([brdf for brdf, _ in some], scene, _share_of(progress, done, len(names), total))
+            for one, linear in zip(names, pictures, strict=True):
                 write_exr(self.path(one, name, ".exr"), linear)
-                done += 1
-                progress(done, total)
+            done += len(names)
+            progress(done, total)
             folder.log(f"{f'{name}: ' if name else ''}{len(names)} renders: {names[0]} to {names[-1]}")
 
     def _compare(
@@ -148,6 +156,23 @@ class Pictures:
 
     def _read(self, scene: str, names: Sequence[str]) -> Tensor:
         return torch.stack([read_image(self.path(name, scene, ".exr")) for name in names])
+
+
+def _parts(jobs: Sequence[tuple[Brdf, list[str]]]) -> Iterator[list[tuple[Brdf, list[str]]]]:
+    """Jobs that are drawn together, about so many pictures that they fit the memory."""
+    part: list[tuple[Brdf, list[str]]] = []
+    for job in jobs:
+        part.append(job)
+        if sum(len(names) for _, names in part) >= TOGETHER:
+            yield part
+            part = []
+    if part:
+        yield part
+
+
+def _share_of(progress: Progress, before: int, count: int, whole: int) -> Progress:
+    """What `render` calls with its own numbers, for `count` of all pictures."""
+    return lambda done, total: progress(before + count * done // total, whole)
 
 
 def color_difference(display: Tensor, reference: Tensor) -> Tensor:

@@ -11,13 +11,22 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
-from torchbrdf.fitting.intervals import GAUSS_NEWTON, Intervals, check_method, find_intervals, joined_intervals
-from torchbrdf.fitting.objective import make_objective
+from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.intervals import (
+    BOOTSTRAP,
+    GAUSS_NEWTON,
+    Intervals,
+    check_method,
+    find_intervals,
+    joined_intervals,
+)
+from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
 from torchbrdf.fitting.sampling import stratified
-from torchbrdf.fitting.scoring import errors, parallel_map
+from torchbrdf.fitting.scoring import errors, errors_of_sums
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joined, strategy_name
+from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
@@ -54,6 +63,7 @@ def fit(
     max_iterations: int = 300,
     intervals: str = GAUSS_NEWTON,
     progress: Progress = quiet,
+    gathered: Gathered | None = None,
 ) -> FitResult:
     """Fit a model to every material of `measured` under a loss.
 
@@ -76,12 +86,14 @@ def fit(
             what was seen to look right: "fit" for the learned metric and for pictures, "45:0" for all else.
         max_theta: only pairs with both directions at most so many degrees from the normal count.
         samples: the solver works on a stratified random subset of so many pairs (None: every pair), and finishes on
-            every valid pair; both errors are reported.
+            every valid pair; both errors are reported. Of a table it sees every pair where a loss of squares and lobes
+            that know their shape by the half angle alone need only sums, see [Method](method.md).
         seed: of that subset.
         max_iterations: of the solver in each stage.
         intervals: of the parameters, 95 %: "gauss_newton", for losses of squares, which costs nothing; "bootstrap" adds
             those of 100 refits, for losses of BRDF values; "none". See [Fit](how-to/fit.md).
         progress: called with the number of materials done, as they are done.
+        gathered: the sums of these materials within `max_theta`, for several fits that share one pass over them.
 
     Returns:
         The fitted models, their errors, and how each fit ended.
@@ -130,9 +142,13 @@ def fit(
     free_components = [part for k, part in enumerate(model.components()) if k not in held]
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
-    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals)
+    gathered = Gathered(measured, [model], [loss]) if gathered is None else gathered
+    sums = None if intervals == BOOTSTRAP else gathered.find(model, loss)
+    if sums is not None and len(sums.zero) != len(measured):
+        raise UsageError(f"fit: expected sums of {len(measured)} materials, found those of {len(sums.zero)}")
+    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums)
     found: list[tuple[list[int], _Fitted | Lost]] = []
-    for rows, one in parallel_map(work, measured):
+    for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes)):
         found.append((rows, one))
         progress(sum(len(rows) for rows, _ in found), len(measured))
     done = _with_lost(found, start, reasons)
@@ -152,7 +168,7 @@ def fit(
         ties=[tie for found in done for tie in found.outcome.near_optimal or [0] * len(found.error)],
         seconds=time.perf_counter() - began,
         max_theta=max_theta,
-        samples=subset.size(loss),
+        samples=subset.size(loss) if sums is None else None,
         seed=seed,
         scene=loss.scene_summary,
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
@@ -232,24 +248,48 @@ class _FitSome:
     fit_diffuse: bool
     max_iterations: int
     intervals: str
+    sums: SufficientStatistics | None
 
     def __call__(self, rows: list[int], measured: Measured) -> _Fitted:
         """The fits of these rows of all materials, of which `measured` is that part."""
-        loss, run = self.loss, STRATEGIES[self.strategy] if isinstance(self.strategy, str) else self.strategy
         values = take_materials(self.start, rows)
         part = with_parameters(self.model, values)
+        if self.sums is not None:
+            return self._by_sums(part, values, measured, self.sums.select(rows))
+        loss = self.loss
         whole, some = self._problems(measured, loss)
         task = self._task(part, measured, whole, some, loss)
-        outcome = run(task, values, self.fit_diffuse)
-        if not isinstance(outcome, Outcome):
-            found = type(outcome).__name__
-            raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
+        outcome = self._run(task, values)
         fitted = with_parameters(part, outcome.values)
         error = errors([fitted], whole, [loss])[0, 0]
         subset_error = error if some is None else errors([fitted], some, [loss])[0, 0]
         values, counts, free = get_parameters(fitted), _counts(whole), task.all_free(self.fit_diffuse)
         intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
         return _Fitted(values, outcome, error, subset_error, counts, intervals)
+
+    def _by_sums(self, part: Lobe, values: ParameterDict, measured: Measured, sums: SufficientStatistics) -> _Fitted:
+        """The fits from sufficient statistics: all pairs from the first step on."""
+        task = Task(
+            part,
+            QuadraticObjective(sums, self.loss),
+            max_iterations=self.max_iterations,
+            under=partial(self._task_under, part, measured),
+        )
+        outcome = self._run(task, values)
+        fitted = with_parameters(part, {name: value.to(values[name]) for name, value in outcome.values.items()})
+        error, values = errors_of_sums(fitted, sums, self.loss), get_parameters(fitted)
+        free = task.all_free(self.fit_diffuse)
+        intervals = find_intervals(self.intervals, task.objective, values, free, sums.counts, self.subset.seed)
+        return _Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals)
+
+    def _run(self, task: Task, values: ParameterDict) -> Outcome:
+        """What the strategy finds."""
+        run = STRATEGIES[self.strategy] if isinstance(self.strategy, str) else self.strategy
+        outcome = run(task, values, self.fit_diffuse)
+        if not isinstance(outcome, Outcome):
+            found = type(outcome).__name__
+            raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
+        return outcome
 
     def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:
         """What a loss asks of these materials: all of it, and the part that the solver sees, if that is not all."""

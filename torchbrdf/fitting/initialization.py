@@ -58,7 +58,7 @@ def starts_from_dictionary(
     target = objective.target
     if not fit_diffuse:
         for k in diffuse:
-            target = target - values[names[k]["albedo"]].double()[..., None] * objective.observe(flat)[:, 0]
+            target = target - values[names[k]["albedo"]].double()[..., None] * objective.observe(flat)[..., 0, :]
     dictionaries: list[LobeDictionary] = []
     for k in specular_components(model):
         same = [one for one in dictionaries if type(one.lobe) is type(components[k])]

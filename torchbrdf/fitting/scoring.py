@@ -1,59 +1,23 @@
 """Errors of fitted models on every valid sample, and the paper's test for local minima."""
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import TypeVar
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.basis import predictor
-from torchbrdf.fitting.objective import channels
+from torchbrdf.fitting import channels
+from torchbrdf.fitting.basis import Basis, predictor
+from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.objective import QuadraticObjective
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
+from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
-from torchbrdf.parallel import Lost, process_map, thread_map
+from torchbrdf.parallel import Lost
 from torchbrdf.precision import undisturbed
-
-# Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
-MEMORY = 4_000_000
-# The same on a GPU, where one batch at a time is best.
-GPU_MEMORY = 400_000_000
-# Pairs times materials above which processes are worth their start.
-PROCESS_THRESHOLD = 500_000
-
-Result = TypeVar("Result")
-
-
-def material_batches(measured: Measured) -> Iterator[list[int]]:
-    """Materials in batches: as many for each thread, and no more than the memory budget allows."""
-    materials, pairs = len(measured), max(len(measured.pairs), 1)
-    if measured.device.type == "cuda":
-        size = max(1, GPU_MEMORY // pairs)
-    else:
-        threads = torch.get_num_threads()
-        rounds = max(1, -(-materials // (max(1, MEMORY // pairs) * threads)))
-        size = max(1, -(-materials // (rounds * threads * 2)))
-    for first in range(0, materials, size):
-        yield list(range(first, min(first + size, materials)))
-
-
-def parallel_map(
-    function: Callable[[list[int], Measured], Result], measured: Measured
-) -> Iterator[tuple[list[int], Result | Lost]]:
-    """`function` of batches of materials, their indices and what was measured of them, on all cores."""
-    batches = list(material_batches(measured))
-    large = len(measured) * len(measured.pairs) > PROCESS_THRESHOLD and measured.device.type == "cpu"
-    run = process_map if large else thread_map
-    parts = [(rows, measured.batch(rows)) for rows in batches]
-    yield from zip(batches, run(partial(_apply, function), parts), strict=True)
-
-
-def _apply(function: Callable[[list[int], Measured], Result], batch: tuple[list[int], Measured]) -> Result:
-    rows, part = batch
-    return function(rows, part.batch())  # a view of its own: what it has read goes when the function ends
 
 
 def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
@@ -79,13 +43,16 @@ def score(model: Lobe, measured: Measured, losses: Sequence[Loss]) -> Tensor:
 
 
 @undisturbed()
-def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Loss]) -> Tensor:
+def cross_score(
+    models: Sequence[Lobe], measured: Measured, losses: Sequence[Loss], gathered: Gathered | None = None
+) -> Tensor:
     """The errors of several models of the same materials; every sample is read once.
 
     Args:
         models: K of them, batched, each with one model for each of M materials.
         measured: the materials.
         losses: L of them.
+        gathered: sums of these materials, which losses of squares need no other pass for.
 
     Returns:
         The error of each model under each loss, `(L, K, M)`, float64; NaN where the process at work on it died twice.
@@ -99,6 +66,15 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
         >>> cross_score(models, measured, [RMSLoss()]).shape
         torch.Size([1, 3, 1])
     """
+    from_sums = {} if gathered is None else _from_sums(models, losses, gathered)
+    if from_sums:
+        found = torch.empty(len(losses), len(models), len(measured), dtype=torch.float64, device="cpu")
+        others = [k for k in range(len(losses)) if k not in from_sums]
+        if others:
+            found[others] = cross_score(models, measured, [losses[k] for k in others])
+        for k, errors_there in from_sums.items():
+            found[k] = errors_there
+        return found
     own = [get_parameters(model) for model in models]
 
     def score_some(rows: list[int], part: Measured) -> Tensor:
@@ -120,6 +96,23 @@ def cross_score(models: Sequence[Lobe], measured: Measured, losses: Sequence[Los
 
     parts = parallel_map(score_some, measured)
     return torch.cat([lost(len(rows)) if isinstance(found, Lost) else found for rows, found in parts], -1)
+
+
+def _from_sums(models: Sequence[Lobe], losses: Sequence[Loss], gathered: Gathered) -> dict[int, Tensor]:
+    """Errors `(K, M)` under those losses, by their places, for which there are sums of every model."""
+    found = {}
+    for k, loss in enumerate(losses):
+        sums = [gathered.find(model, loss) for model in models]
+        if all(one is not None for one in sums):
+            own = [errors_of_sums(model, one, loss) for model, one in zip(models, sums, strict=True) if one is not None]
+            found[k] = torch.stack(own)
+    return found
+
+
+def errors_of_sums(model: Lobe, sums: SufficientStatistics, loss: Loss) -> Tensor:
+    """The errors of a batched model on all pairs under a quadratic loss, `(M,)`, float64, on the CPU."""
+    basis = Basis(Parametrization(model, []))
+    return QuadraticObjective(sums, loss).errors(basis, get_parameters(model))
 
 
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.objective import channels
+from torchbrdf.fitting import channels
 from torchbrdf.fitting.sampling import CHUNK
 from torchbrdf.lobes import DistributionBased, Lambert, Lobe
 from torchbrdf.lobes._microfacet import v_groove

@@ -46,13 +46,18 @@ def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tens
 
 def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
     """(m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o))."""
+    # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
+    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (_geometry(pairs) * (exponent + 1))
 
-    def geometry() -> Tensor:
+
+def _geometry(pairs: Pairs) -> Tensor:
+    """1 / (8 pi cos_d max(cos_i, cos_o))."""
+
+    def make() -> Tensor:
         highest = torch.maximum(clamp_cosine(pairs.cos_i), pairs.cos_o)
         return safe_ratio(1, clamp_cosine(pairs.cos_d) * highest) / (8 * math.pi)
 
-    # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
-    return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (pairs.cached(_power, geometry) * (exponent + 1))
+    return pairs.cached(_geometry, make)
 
 
 @LOBES.register("ashikhmin_shirley")
@@ -86,3 +91,9 @@ class AshikhminShirley(Lobe):
         shape = power * fresnel(f0, pairs)
         slope = torch.add(1 / (exponent + 1), log_secant(pairs), alpha=-0.5)
         return [shape, shape * slope, power * (1 - schlick_weight(pairs))]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1 / (8 pi cos_d max(cos_i, cos_o)), and that times (1 - cos_d)^5."""
+        geometry = _geometry(pairs)
+        return [geometry, geometry * schlick_weight(pairs)]

@@ -301,6 +301,41 @@ class Lobe(_Declared):
         return tangents(lambda *own: cls.terms(pairs, *own), scalars)
 
     @classmethod
+    def has_pair_factors(cls) -> bool:
+        """Whether the lobe has `pair_factors`: it declares some, or no scalar enters its terms.
+
+        Example:
+            >>> from torchbrdf.lobes import GGX, Lambert, Ward
+            >>> Ward.has_pair_factors(), Lambert.has_pair_factors(), GGX.has_pair_factors()
+            (True, True, False)
+        """
+        declared = cls.pair_factors.__func__ is not Lobe.pair_factors.__func__  # type: ignore[attr-defined]
+        return declared or (cls.is_separable() and not cls.term_scalars())
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """Functions B_j of a pair, of which all terms are sum_j H_j(theta_h; scalars) B_j(pair).
+
+        No parameter enters them. A lobe whose shape depends on the half angle alone, but for its shadowing and
+        Fresnel's weight, declares them: fits under losses of squares then need no pass over the pairs of a table.
+
+        Args:
+            pairs: where they are wanted, `(..., N)`.
+
+        Returns:
+            J tensors, `(..., N)` or what broadcasts to it; below the horizon they mean nothing.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.lobes import CookTorrance
+            >>> angle = torch.full((1, 5), 0.1)
+            >>> len(CookTorrance.pair_factors(Pairs.from_half_diff(angle, angle, angle)))
+            2
+        """
+        return cls.terms(pairs)
+
+    @classmethod
     def coefficients(cls, **parameters: Tensor) -> Tensor:
         """The factors A_cj of the terms, by operations that torch differentiates.
 

@@ -73,3 +73,8 @@ class BlinnPhong(Lobe):
         (exponent,) = scalars
         shape = _power(pairs, exponent)
         return [shape, shape * torch.add(1 / (exponent + 2), log_secant(pairs), alpha=-0.5)]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1."""
+        return [torch.ones_like(pairs.tan2_h)]

@@ -46,7 +46,7 @@ def charlie(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
 def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
     inverse = roughness.reciprocal()
     height = (2 + inverse) / (2 * math.pi)
-    return clamped_exp(log_sine(pairs) * inverse) * (pairs.cached(_shape, lambda: _visibility(pairs)) * height)
+    return clamped_exp(log_sine(pairs) * inverse) * (_visibility(pairs) * height)
 
 
 def log_sine(pairs: Pairs) -> Tensor:
@@ -61,8 +61,11 @@ def log_sine(pairs: Pairs) -> Tensor:
 
 
 def _visibility(pairs: Pairs) -> Tensor:
-    cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
-    return safe_ratio(0.25, cos_i + cos_o - cos_i * cos_o)
+    def make() -> Tensor:
+        cos_i, cos_o = clamp_cosine(pairs.cos_i), clamp_cosine(pairs.cos_o)
+        return safe_ratio(0.25, cos_i + cos_o - cos_i * cos_o)
+
+    return pairs.cached(_visibility, make)
 
 
 @LOBES.register("charlie")
@@ -92,3 +95,8 @@ class Charlie(Lobe):
         shape, inverse = _shape(pairs, roughness), roughness.reciprocal()
         slope = torch.add(1 / (2 + inverse), log_sine(pairs))
         return [shape, shape * slope * -inverse.square()]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1 / (4 (cos_i + cos_o - cos_i cos_o))."""
+        return [_visibility(pairs)]

@@ -84,3 +84,9 @@ class CookTorrance(Lobe):
         facets = _facets(pairs, roughness)
         shape = facets * fresnel(f0, pairs)
         return [shape, shape * log_beckmann_derivative(pairs, roughness), facets * (1 - schlick_weight(pairs))]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """G / (cos_i cos_o), and that times (1 - cos_d)^5."""
+        geometry = v_groove(pairs)
+        return [geometry, geometry * schlick_weight(pairs)]

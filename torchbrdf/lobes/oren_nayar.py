@@ -88,3 +88,9 @@ class OrenNayar(Lobe):
         square, groove = roughness.square(), grooves(pairs)
         slope = 0.081 / (square + 0.09).square() * groove - 0.33 / (square + 0.33).square()
         return [_shape(pairs, roughness), slope * (roughness / math.pi)]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1, and max(0, cos phi) sin_a tan_b."""
+        groove = grooves(pairs)
+        return [torch.ones_like(groove), groove]

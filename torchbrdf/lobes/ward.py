@@ -40,11 +40,17 @@ def ward(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
 
 
 def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
-    def geometry() -> Tensor:
+    inverse = roughness.square().reciprocal()
+    return clamped_exp(tangent(pairs) * -inverse) * (_geometry(pairs) * inverse)
+
+
+def _geometry(pairs: Pairs) -> Tensor:
+    """1 / (4 pi sqrt(cos_i cos_o))."""
+
+    def make() -> Tensor:
         return torch.rsqrt(clamp_cosine(pairs.cos_i)) * torch.rsqrt(clamp_cosine(pairs.cos_o)) / (4 * math.pi)
 
-    inverse = roughness.square().reciprocal()
-    return clamped_exp(tangent(pairs) * -inverse) * (pairs.cached(_shape, geometry) * inverse)
+    return pairs.cached(_geometry, make)
 
 
 @LOBES.register("ward")
@@ -73,3 +79,8 @@ class Ward(Lobe):
         (roughness,) = scalars
         shape = _shape(pairs, roughness)
         return [shape, shape * log_beckmann_derivative(pairs, roughness)]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1 / (4 pi sqrt(cos_i cos_o))."""
+        return [_geometry(pairs)]

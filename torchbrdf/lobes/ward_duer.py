@@ -50,11 +50,12 @@ def ward_duer(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
 def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
     """exp(-tan2_h / a^2) / (4 pi a^2 cos_d^2 cos_h^4)."""
     inverse = roughness.square().reciprocal()
-    return beckmann_exponential(pairs, inverse) * (pairs.cached(ward_duer, lambda: _geometry(pairs)) * inverse)
+    return beckmann_exponential(pairs, inverse) * (_geometry(pairs) * inverse)
 
 
 def _geometry(pairs: Pairs) -> Tensor:
-    return safe_ratio(1 / (4 * math.pi), clamp_cosine(pairs.cos_d).square())
+    """1 / (4 pi cos_d^2)."""
+    return pairs.cached(_geometry, lambda: safe_ratio(1 / (4 * math.pi), clamp_cosine(pairs.cos_d).square()))
 
 
 @LOBES.register("ward_duer")
@@ -83,3 +84,8 @@ class WardDuer(Lobe):
         (roughness,) = scalars
         shape = _shape(pairs, roughness)
         return [shape, shape * log_beckmann_derivative(pairs, roughness)]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1 / (4 pi cos_d^2)."""
+        return [_geometry(pairs)]

@@ -70,6 +70,8 @@ class Loss(nn.Module):
     default_diffuse: ClassVar[str] = "45:0"
     """How `torchbrdf.fit` treats the diffuse albedo unless told: "45:0", measured and held, or "fit". A loss has "fit"
     where fits under it were seen to look better so."""
+    has_linear_encoding: ClassVar[bool] = False
+    """Whether `encode` multiplies values by what depends on the pair alone; a subclass that gives `encode` says so."""
     is_root: bool = True
     """Whether the error is the square root of what a fit minimises."""
 
@@ -79,6 +81,8 @@ class Loss(nn.Module):
         if "objective" not in own and own.keys() & {"error", "forward", "pointwise"}:
             cls.objective = "autograd"
         # What is derived from a method that is overridden is not inherited from further up.
+        if "encode" in own and "has_linear_encoding" not in own:
+            cls.has_linear_encoding = False
         for method, derived in (("encode", "encode_with_derivative"), ("penalty", "penalty_with_derivatives")):
             if method in own and derived not in own:
                 setattr(cls, derived, getattr(Loss, derived))
@@ -101,6 +105,13 @@ class Loss(nn.Module):
         squares = kind.penalty is Loss.penalty
         closed_penalty = squares or kind.penalty_with_derivatives is not Loss.penalty_with_derivatives
         return closed_penalty and kind.encode_with_derivative is not Loss.encode_with_derivative
+
+    @property
+    def is_quadratic(self) -> bool:
+        """Whether it is the root of a mean of squares of differences of values on the measured pairs, with weights."""
+        kind = type(self)
+        own = kind.penalty is Loss.penalty and kind.problem is Loss.problem
+        return own and self.objective == "pointwise" and self.has_linear_encoding
 
     def is_elementwise(self) -> bool:
         """Whether `encode` and `penalty` are functions of one value at a time.

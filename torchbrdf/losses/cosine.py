@@ -24,6 +24,7 @@ class CosineRMSLoss(Loss):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("cos_i",)
+    has_linear_encoding: ClassVar[bool] = True
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """M cos_i."""

@@ -1,5 +1,7 @@
 """Root mean square error (eq. 8)."""
 
+from typing import ClassVar
+
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, Loss
@@ -18,6 +20,8 @@ class RMSLoss(Loss):
         >>> RMSLoss()(torch.full((2, 5, 3), 3.0), torch.ones(2, 5, 3))
         tensor(2.)
     """
+
+    has_linear_encoding: ClassVar[bool] = True
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """The values as they are."""

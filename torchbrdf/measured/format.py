@@ -45,6 +45,7 @@ class BrdfFormat(ABC):
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
         stand_in: Whether the values come from a model that stands in for a measurement.
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
+        is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it can do better than the nearest sample.
     """
@@ -56,6 +57,7 @@ class BrdfFormat(ABC):
     pairs: Pairs
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
+    is_reciprocal: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod

@@ -57,6 +57,7 @@ class Merl(BrdfFormat):
     format = "merl"
     suffixes = (".binary",)
     on_merl_bins = True
+    is_reciprocal = True
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)

@@ -18,6 +18,11 @@ from torchbrdf.render.scene import Chunk, Scene
 
 # Measured tables that are open at once.
 _TABLES = 12
+# Pictures from which on a transport is worth its making, and the bytes that several may take at a time.
+SEVERAL = 4
+MEMORY = 2**30
+# Pairs on which light and viewer change places, and the mean relative difference that is none.
+_TRIED, _NONRECIPROCAL = 256, 1e-3
 
 Shader = Callable[[Pairs], Tensor]
 Brdf = Lobe | Measured | Shader
@@ -30,7 +35,8 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
 
     Args:
         brdf: A Lobe (batched or not), a Measured, or anything that gives values in 1/sr, `(m, N, 3)` or `(N, 3)`, on
-            Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once.
+            Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once; from
+            four pictures of lobes and materials on by the scene's transport, where these are reciprocal.
         scene: What is drawn.
         progress: Is called with what is done and what there is to do as the work goes on.
 
@@ -49,6 +55,16 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     brdfs = list(brdf) if isinstance(brdf, Sequence) else [brdf]
     if not brdfs:
         raise UsageError("render: expected at least one BRDF, found none")
+    known = [one for one in brdfs if isinstance(one, Lobe | Measured)]
+    if len(known) < len(brdfs) or sum(_pictures(one) for one in known) < SEVERAL:
+        return render_directly(brdfs, scene, progress)
+    if not all(is_reciprocal(one) for one in known):
+        return render_directly(brdfs, scene, progress)
+    return render_by_transport(known, scene, progress)
+
+
+def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
+    """As `render`: every BRDF evaluated on all pairs of every pixel."""
     runs = list(zip_longest(*(_shaders(one) for one in brdfs), fillvalue=()))
     pictures: list[list[Tensor]] = [[] for _ in brdfs]
     done, total = 0, 2 * len(runs) * int(scene.mask.sum())
@@ -69,6 +85,67 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     return torch.cat([picture for own in pictures for picture in own]).unflatten(1, (scene.size, scene.size))
 
 
+@torch.no_grad()
+def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress: Progress | None = None) -> Tensor:
+    """As `render`: every BRDF evaluated on the scene's compact pairs, and one sparse product for many pictures."""
+    shaders = [shader for one in brdfs for run in _shaders(one) for shader in run]
+    bytes_each = 3 * torch.float32.itemsize * (2 * len(scene.pairs) + len(scene.transport.index))
+    together = max(1, MEMORY // bytes_each)
+    found, done, total = [], 0, 2 * sum(_pictures(one) for one in brdfs)
+
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(done, total)
+
+    def product(values: list[Tensor]) -> None:
+        for some in torch.cat(values).split(together):
+            found.append(scene.transport @ some)
+            advance(len(some))
+
+    waiting: list[Tensor] = []
+    for values in thread_map(partial(_values, scene.pairs), shaders):
+        waiting.append(values)
+        advance(len(values))
+        if sum(map(len, waiting)) >= together:
+            product(waiting)
+            waiting = []
+    if waiting:
+        product(waiting)
+    return torch.cat(found)
+
+
+@torch.no_grad()
+def is_reciprocal(brdf: Lobe | Measured) -> bool:
+    """Whether light and viewer can change places, as compact pairs have it."""
+    if isinstance(brdf, Measured) and not brdf.stand_in:
+        return brdf.source.is_reciprocal
+    generator = torch.Generator("cpu").manual_seed(0)
+    square = torch.rand(2, _TRIED, 3, generator=generator, dtype=torch.float32, device="cpu")
+    wi, wo = torch.nn.functional.normalize(square * 2 - square.new_tensor([1, 1, 0]), dim=-1)
+    ways = Pairs.from_directions(wi, wo), Pairs.from_directions(wo, wi)
+    for shader in (shader for run in _shaders(brdf) for shader in run):
+        there, back = (_values(way, shader) for way in ways)
+        size = there.abs().sum((1, 2))
+        if ((there - back).abs().sum((1, 2)) > _NONRECIPROCAL * size).any():
+            return False
+    return True
+
+
+def _values(pairs: Pairs, shader: Shader) -> Tensor:
+    """Values `(m, N, 3)`, float32."""
+    return shader(pairs).reshape(-1, len(pairs), 3).float()
+
+
+def _pictures(brdf: Lobe | Measured) -> int:
+    """How many a BRDF makes."""
+    if isinstance(brdf, Measured):
+        return len(brdf)
+    specs, values = named_specs(brdf), get_parameters(brdf)
+    return max(len(value) if value.dim() > len(specs[name].shape) else 1 for name, value in values.items())
+
+
 def _light(shaders: list[Shader], job: Callable[[], Chunk]) -> tuple[Tensor, list[Tensor]]:
     """The pixels of one chunk, and for each shader what it adds to them, `(m, p, 3)`."""
     pixel, pairs, weight = job()
@@ -85,8 +162,7 @@ def _shaders(brdf: Brdf) -> list[list[Shader]]:
         rows = range(len(brdf))
         return [[brdf.batch(rows[start : start + _TABLES]).at] for start in rows[::_TABLES]]
     if isinstance(brdf, Lobe):
-        specs, values = named_specs(brdf), get_parameters(brdf)
-        materials = max(len(value) if value.dim() > len(specs[name].shape) else 1 for name, value in values.items())
+        materials = _pictures(brdf)
         values = get_parameters(brdf.batched(materials))
         own = [take_materials(values, slice(k, k + 1)) for k in range(materials)]
         return [[with_parameters(brdf, one).to("cpu", torch.float32) for one in own]]

@@ -28,7 +28,7 @@ Chunk = tuple[Tensor, Pairs, Tensor]
 # Pairs at a time: their quantities then stay in a processor's cache.
 _CHUNK = 65536
 # A transport whose entries could take more bytes is not kept, but made anew for each product.
-LARGEST_KEPT = 2**31
+LARGEST_KEPT = 2**30
 _BYTES_PER_ENTRY = 16
 
 

@@ -64,7 +64,7 @@ def write_grid_report(
         strategy=grid.strategy,
         diffuse=diffuse_label(grid.diffuse),
         max_theta=f"{grid.max_theta:g}",
-        samples=f"first a stratified subset of {grid.samples}, then all" if grid.samples else "all of them",
+        samples=_seen(grid.samples),
         stand_in=stand_in,
         problems=problems,
         findings=findings(grid, order) + (compared.findings if compared else []),
@@ -95,6 +95,13 @@ def write_grid_report(
     path = folder / "report.html"
     write_text(path, page)
     return path
+
+
+def _seen(samples: int | None) -> str:
+    """What solvers saw of the pairs."""
+    if samples is None:
+        return "all of them"
+    return f"first a stratified subset of {samples}, then all; all at once where sums of them are enough"
 
 
 def _rows(pictures: Pictures, order: Sequence[str], figures: Path) -> dict[str, list[dict[str, Any]]]:

@@ -8,6 +8,7 @@ from torchbrdf.fitting.objective.binned import BinnedObjective
 from torchbrdf.fitting.objective.combined import CombinedObjective
 from torchbrdf.fitting.objective.image import ImageObjective
 from torchbrdf.fitting.objective.pointwise import PointwiseObjective
+from torchbrdf.fitting.objective.quadratic import QuadraticObjective
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 
@@ -19,7 +20,13 @@ OBJECTIVES: dict[str, type[FitObjective]] = {
     "autograd": AutogradObjective,
 }
 
-__all__ = ["OBJECTIVES", "FitObjective", "GaussNewtonObjective", "make_objective"]
+__all__ = [
+    "OBJECTIVES",
+    "FitObjective",
+    "GaussNewtonObjective",
+    "QuadraticObjective",
+    "make_objective",
+]
 
 
 def make_objective(model: Lobe, problem: Problem, loss: Loss) -> FitObjective:

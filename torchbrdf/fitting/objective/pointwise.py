@@ -9,8 +9,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
-from torchbrdf.fitting.objective import channels
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
 from torchbrdf.fitting.sampling import Chunks, chunked
 from torchbrdf.lobes.parameter_dict import ParameterDict

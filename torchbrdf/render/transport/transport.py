@@ -184,11 +184,13 @@ class _Product(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor, transport: Transport) -> Tensor:
         ctx.transport = transport
         found = values.new_zeros(3, len(transport.index), len(values))
+        groups = [slice(first, first + _AT_ONCE) for first in range(0, len(values), _AT_ONCE)]
+        tables = [[values[some, :, channel].T.contiguous() for some in groups] for channel in range(3)]
         for block in transport.blocks:
             for channel in range(3):
-                found[channel].index_add_(
-                    0, block.rows, block.channel(channel).times(values[..., channel].T.contiguous())[0]
-                )
+                own = block.channel(channel)
+                for some, table in zip(groups, tables[channel], strict=True):
+                    found[channel, :, some].index_add_(0, block.rows, own.times(table)[0])
         return found.permute(2, 1, 0)
 
     @staticmethod

@@ -1,0 +1,118 @@
+"""The objective of a quadratic loss from sufficient statistics: exact, at the cost of a few hundred pairs.
+
+With S' S = sum w B B' and S' z = sum w t B, the sum of w (f - t)^2 over a group of pairs is |S H - z|^2 and what no
+parameter changes: least squares in G J numbers a channel, which `Statistics.observe` gives of the terms at the probes.
+"""
+
+from functools import cached_property
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from torchbrdf.fitting.basis import Basis
+from torchbrdf.fitting.objective.base import GaussNewtonObjective
+from torchbrdf.fitting.sufficient_statistics import SufficientStatistics
+from torchbrdf.lobes.parameter_dict import ParameterDict
+from torchbrdf.losses import Loss, Problem
+
+# Combinations of a group's factors that vary less than this, relative, are left out: they are not to be seen.
+_RANK = 1e-12
+
+
+class QuadraticObjective(GaussNewtonObjective):
+    """The mean of weighted squares over all pairs."""
+
+    def __init__(self, statistics: SufficientStatistics, loss: Loss) -> None:
+        self.statistics = statistics
+        super().__init__(Problem(statistics.probes, self._reduced[1].mT), loss)
+
+    @cached_property
+    def _reduced(self) -> tuple[Tensor, Tensor]:
+        """What makes S H of the terms at a group's probes, `(M, G, J, P)`, and z, `(M, 3, G J)`."""
+        own = self.statistics
+        # In units in which all factors are of a size, as some are 1e6 times others towards the horizon.
+        size = own.at_probes.abs().amax(2, keepdim=True).clamp_min(torch.finfo(own.gram.dtype).tiny)
+        inverse = torch.linalg.pinv(own.at_probes / size, rtol=_RANK)
+        square, axes = torch.linalg.eigh(own.gram / size / size.mT)
+        kept = square > _RANK * square[..., -1:]
+        root = torch.where(kept, square, 0).sqrt()
+        rotated = axes.mT @ (own.right / size)
+        target = torch.where(kept, 1 / torch.where(kept, root, 1), 0)[..., None] * rotated
+        return (root[..., None] * axes.mT) @ inverse.mT, target.permute(0, 3, 1, 2).flatten(2)
+
+    @cached_property
+    def rest(self) -> Tensor:
+        """The sum that no parameter changes, `(M,)`."""
+        return (self.statistics.zero - self.target.square().sum((1, 2))).clamp_min(0)
+
+    @cached_property
+    def zero_prediction_error(self) -> Tensor:
+        """The mean square of what is compared."""
+        found = self.statistics.zero / self.statistics.total
+        return torch.where(found > 0, found, 1)
+
+    @property
+    def target_scale(self) -> Tensor:
+        """Its root."""
+        return self.zero_prediction_error.sqrt()
+
+    @property
+    def target(self) -> Tensor:
+        """z."""
+        return self._reduced[1]
+
+    def observe(self, responses: Tensor) -> Tensor:
+        """S H of functions at the probes, `(M, 1, K, G J)`."""
+        return self._observed(responses[None], self._reduced[0])[:, None]
+
+    def curvature_at(self, prediction: Tensor) -> Tensor:
+        """2."""
+        return prediction.new_full((1, 1, 1), 2)
+
+    def describe_size(self) -> str:
+        """What a solver sees."""
+        return f"sums of all samples at {self.statistics.gram.shape[1]} half angles"
+
+    def select(self, material: int) -> Self:
+        """The same for one material."""
+        return type(self)(self.statistics.select([material]), self.loss)
+
+    def subsample(self, samples: int, seed: int) -> Self:
+        """Itself: no subset costs less."""
+        return self
+
+    def errors(self, basis: Basis, values: ParameterDict) -> Tensor:
+        """The errors of all materials, `(M,)`, float64, on the CPU."""
+        every, one = self.material_indices, torch.ones_like(self.zero_prediction_error)
+        return self.loss.finalize(self.evaluate(basis, values, every, one)[0]).cpu()
+
+    def evaluate(
+        self,
+        basis: Basis,
+        values: ParameterDict,
+        materials: Tensor,
+        scale: Tensor,
+        width: Tensor | None = None,
+        curvature: bool = False,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """From the terms at the probes."""
+        own, (observe, target) = self.statistics, self._reduced
+        albedos = basis.albedos(values, target.dtype)
+        responses = basis.stacked(own.probes, values, target.dtype, len(materials))
+        seen = self._observed(responses, observe[materials])
+        used, residual = seen[:, : basis.used], basis.predict(albedos, seen) - target[materials]
+        norm = own.total[materials] * scale
+        value = (residual.square().sum((1, 2)) + self.rest[materials]) / norm
+        jacobian = basis.jacobian(values, albedos)
+        gradient = torch.einsum("rcq,rcqp->rp", residual @ used.mT, jacobian) * (2 / norm[:, None])
+        if not curvature:
+            return value, gradient, gradient.new_empty(0)
+        gram = (used @ used.mT) * (2 / norm[:, None, None])
+        return value, gradient, torch.einsum("rcqp,rcqs->rps", jacobian, gram[:, None] @ jacobian)
+
+    def _observed(self, responses: Tensor, observe: Tensor) -> Tensor:
+        """S H of functions at the probes, `(m, K, G P)` to `(m, K, G J)`."""
+        _, groups, _, count = observe.shape
+        at_probes = responses.unflatten(2, (groups, count)).transpose(1, 2)
+        return (at_probes @ observe.mT).transpose(1, 2).flatten(2)
