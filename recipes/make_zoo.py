@@ -1,6 +1,7 @@
 """How the zoo was made: matches of measured materials by models that renderers have."""
 
-from dataclasses import dataclass, field, replace
+import json
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ from torchbrdf.experiment import STANDINS, load_materials
 from torchbrdf.experiment.matching.candidates import Budget, Candidate
 from torchbrdf.experiment.matching.search import Match, find_matches
 from torchbrdf.experiment.rounding import rounded
-from torchbrdf.lobes import FitRecord, write_fits
+from torchbrdf.files import write_text
+from torchbrdf.lobes import FitRecord
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
 
 MODELS = (Candidate("ggx", 2), Candidate("gltf"), Candidate("openpbr"))
@@ -24,10 +26,11 @@ class Origin:
     prefix: str = ""
 
 
+# The few first: a run that is stopped has them.
 ORIGINS = (
-    Origin("tables", "a table in MERL's format"),
-    Origin("rgl", "a measurement of RGL's"),
+    Origin("rgl", "RGL's measurement, Dupuy and Jakob 2018"),
     Origin("standins", "a stand-in that comes with torchbrdf", "standin-"),
+    Origin("tables", "a table in MERL's format"),
 )
 
 
@@ -41,18 +44,19 @@ class MakeZoo(Recipe):
     tables: str = field(default="", metadata={"help": "a folder of MERL-format tables; none: left out"})
     rgl: str = field(default="", metadata={"help": "a folder of RGL's measurements; none: left out"})
     standins: str = field(default=STANDINS, metadata={"help": "the bundled stand-ins; none: left out"})
-    said: str = field(default="", metadata={"help": "more about where the tables are from"})
+    said: str = field(default="", metadata={"help": "what the tables are, if not known"})
+    metric: str | None = field(default=None, metadata={"help": "a loss of BRDF values to fit under, beside pictures"})
     size: int = field(
-        default=40, metadata={"help": "pixels of a side of pictures that fits see", "low": 16, "high": 256}
+        default=24, metadata={"help": "pixels of a side of pictures that fits see", "low": 16, "high": 256}
     )
-    views: int = field(default=2, metadata={"help": "how many pictures fits see", "low": 1, "high": 3})
+    views: int = field(default=1, metadata={"help": "how many pictures fits see", "low": 1, "high": 3})
     digits: int = field(default=4, metadata={"help": "significant digits kept", "low": 2, "high": 17})
 
     def steps(self, folder: RunFolder) -> Path:
         """Match every material by every model, and keep of each model the nearest fit."""
         models = MODELS[:2] if self.quick else MODELS
-        size, views = (24, 1) if self.quick else (self.size, self.views)
-        budget = Budget("zoo", models, None if self.quick else "compressed", size=size, views=views, all_of_them=True)
+        size, views, metric = (16, 1, None) if self.quick else (self.size, self.views, self.metric)
+        budget = Budget("zoo", models, metric, size=size, views=views, all_of_them=True)
         records: list[FitRecord] = []
         for origin in ORIGINS:
             place = getattr(self, origin.setting)
@@ -69,7 +73,9 @@ class MakeZoo(Recipe):
             for match in found:
                 records += self._kept(match, origin)
         path = folder.path / "zoo.json"
-        write_fits(path, records)
+        # A record a line: a third of what `write_fits` takes, and still to be read.
+        lines = [json.dumps(record.to_json(), separators=(",", ":"), allow_nan=False) for record in records]
+        write_text(path, "[\n{}\n]\n".format(",\n".join(lines)))
         return path
 
     def _kept(self, match: Match, origin: Origin) -> list[FitRecord]:
@@ -78,19 +84,16 @@ class MakeZoo(Recipe):
         for one in match.tried:
             if one.candidate not in nearest or one.means.mean < nearest[one.candidate].means.mean:
                 nearest[one.candidate] = one
-        of = origin.said + (f", {self.said}" if self.said and origin.setting == "tables" else "")
+        source = self.said if self.said and origin.setting == "tables" else origin.said
         return [
-            replace(
-                FitRecord(
-                    origin.prefix + match.material,
-                    one.record.model,
-                    one.record.lobes,
-                    rounded(one.record.parameters, self.digits),
-                    loss=one.record.loss,
-                    status=one.record.status,
-                ),
+            FitRecord(
+                origin.prefix + match.material,
+                one.record.model,
+                one.record.lobes,
+                rounded(one.record.parameters, self.digits),
+                loss=one.record.loss,
                 pictures={scene: rounded(dict(own.differences), self.digits) for scene, own in one.figures.items()},
-                extra={"of": of},
+                extra={"source": source},
             )
             for one in nearest.values()
         ]

@@ -22,6 +22,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
   torchbrdf export fits.json --to mitsuba       materials of other programs
   torchbrdf info nickel.binary                  what a file holds
+  torchbrdf info --zoo                          materials that come with it: zoo:nickel stands in a file's place
   torchbrdf check nickel.binary fits.json       energy, reciprocity, negative values
   torchbrdf score --metric my_metrics:distance  how often a metric agrees with people
   torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers

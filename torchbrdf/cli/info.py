@@ -4,6 +4,9 @@ import importlib.metadata
 import importlib.util
 import platform
 import sys
+from collections.abc import Iterator
+from statistics import fmean
+from typing import Any
 
 from torchbrdf.cli.common import Commands, Options, described, say, short
 from torchbrdf.errors import DataError, UsageError
@@ -12,6 +15,8 @@ DESCRIPTION = """\
 Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
 
   torchbrdf info nickel.binary
+  torchbrdf info --zoo
+  torchbrdf info zoo:nickel:gltf
   torchbrdf info --system
 """
 
@@ -20,6 +25,9 @@ def add(commands: Commands) -> None:
     """Add the command to the parser."""
     parser = described(commands.add_parser("info", help="say what a file holds"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="*", help="measured BRDFs, or folders of them")
+    parser.add_argument(
+        "--zoo", action="store_true", help="list the models that come with torchbrdf, and how near they are"
+    )
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     parser.set_defaults(command=command)
 
@@ -29,10 +37,12 @@ def command(options: Options) -> int:
     from torchbrdf.measured import describe
     from torchbrdf.measured.load import find_files
 
-    if not options.files and not options.system:
-        raise UsageError("info: expected files, or --system")
+    if not (options.files or options.system or options.zoo):
+        raise UsageError("info: expected files, --zoo or --system")
     if options.system:
         _print_facts(_system_facts(), "")
+    if options.zoo:
+        say(*_zoo_lines())
     bad: list[DataError] = []
     files = find_files(options.files, bad) if options.files else []
     for k, path in enumerate(files):
@@ -41,7 +51,7 @@ def command(options: Options) -> int:
         except DataError as error:
             bad.append(error)
             continue
-        if k or options.system:
+        if k or options.system or options.zoo:
             print()
         say(path)
         _print_facts(facts, "  ")
@@ -57,6 +67,22 @@ def _print_facts(facts: dict[str, object], indent: str) -> None:
             _print_facts(value, indent + "  ")
         else:
             say(f"{indent}{key:42s} {short(value)}")
+
+
+def _zoo_lines() -> Iterator[str]:
+    """Every material of the zoo, with the mean Delta E 76 of each of its models over the scenes that judged it."""
+    from torchbrdf.lobes.zoo import SCHEME, zoo_names, zoo_records
+
+    records = zoo_records()
+    for name in zoo_names():
+        own = [record for record in records if record["material"] == name]
+        parts = [f"{record['model']} {_mean_delta_e(record):.1f}" for record in own]
+        yield f"{SCHEME}{name:28s} {'  '.join(f'{part:12s}' for part in parts)}  {own[0]['source']}"
+    yield f"Behind each model its mean Delta E 76 in pictures; {SCHEME}NAME is the first, {SCHEME}NAME:MODEL another."
+
+
+def _mean_delta_e(record: dict[str, Any]) -> float:
+    return fmean(scene["delta_e76"] for scene in record["pictures"].values())
 
 
 def _system_facts() -> dict[str, object]:

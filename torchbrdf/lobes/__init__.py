@@ -38,6 +38,7 @@ from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
+from torchbrdf.lobes.zoo import zoo_names
 
 __all__ = [
     "EON",
@@ -111,4 +112,5 @@ __all__ = [
     "ward",
     "ward_duer",
     "write_fits",
+    "zoo_names",
 ]

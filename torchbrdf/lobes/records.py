@@ -15,6 +15,7 @@ from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.model import JOIN, SHARE, from_parameters, model_name
 from torchbrdf.lobes.parameter_dict import get_parameters, outside_bounds, with_parameters
 from torchbrdf.lobes.sum import Sum
+from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
 from torchbrdf.reading import read_json
@@ -233,7 +234,7 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
     """Read and check a `fits.json`. Parameters outside their bounds are kept, with an `OutsideBoundsWarning`.
 
     Args:
-        path: The file.
+        path: The file; or a name in the zoo, such as `zoo:nickel`, for its one record.
         bad: A list that takes the errors of bad records, so that the others are read; None raises the first.
 
     Returns:
@@ -248,7 +249,8 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
         >>> [record.material for record in read_fits(standins())][:3]
         ['alum-bronze', 'aluminium', 'blue-acrylic']
     """
-    records: list[dict[str, Any]] = read_json(path, list[dict[str, Any]], "a list of fits")
+    records: list[dict[str, Any]]
+    records = [zoo_record(path)] if is_zoo(path) else read_json(path, list[dict[str, Any]], "a list of fits")
     if not records:
         raise DataError(f"{path}: expected a list of fits, found an empty one")
     found: dict[int, FitRecord] = {}

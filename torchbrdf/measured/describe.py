@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
+from torchbrdf.lobes.zoo import is_zoo
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
@@ -15,7 +16,7 @@ def describe(path: str | Path) -> dict[str, object]:
     """Facts about one file of measured BRDFs: sizes, validity, diffuse albedo, gloss, range of values.
 
     Args:
-        path: The file.
+        path: The file; or a name in the zoo, such as `zoo:nickel`.
 
     Returns:
         Facts by name, in an order to print. Lists have one entry a channel, figures that do not exist are None, and
@@ -27,7 +28,7 @@ def describe(path: str | Path) -> dict[str, object]:
     measured = load(path, dtype=torch.float64)
     facts: dict[str, object] = {
         "format": measured.source.format,
-        "bytes": Path(path).stat().st_size,
+        **({} if is_zoo(path) else {"bytes": Path(path).stat().st_size}),
         "materials": measured.names,
     }
     each = {name: _material(measured.batch([k])) for k, name in enumerate(measured.names)}

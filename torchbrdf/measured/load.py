@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
+from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
 from torchbrdf.names import LONGEST_NAME, clean_name
@@ -27,7 +28,8 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
 
     Args:
         paths: Files, or folders, which give the files in them that are of a known format, sorted by name. The format
-            is told by a file's content.
+            is told by a file's content. Or models that come with the package: `zoo:nickel`, `zoo:nickel:gltf`, see
+            `torchbrdf.lobes.zoo_names`.
         dtype: Of the values; by default torch's default dtype.
         device: Of the values; by default the CPU.
 
@@ -89,15 +91,22 @@ def load_all(
 
 def format_of(path: Path) -> str | None:
     """The name of a file's format, by its content, else by its suffix; None if it is neither."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(64)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    head = _head(path)
     for name, source in sorted(FORMATS.items(), key=lambda item: not _ours(item[1])):  # ours before others'
         if head and _recognises(name, source, path, head):
             return name
     return next((name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes), None)
+
+
+def _head(path: Path) -> bytes:
+    """The first bytes of a file; of a name in the zoo those of a `fits.json`."""
+    if is_zoo(path):
+        return b"[{"
+    try:
+        with path.open("rb") as file:
+            return file.read(64)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _ours(source: type[BrdfFormat]) -> bool:
@@ -178,17 +187,19 @@ def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dic
 
 def _expect_format(path: Path) -> str:
     name = format_of(path)
-    if path.stat().st_size == 0:
+    head = _head(path)
+    if not head:
         raise DataError(f"{path}: the file is empty; expected a measured BRDF ({_known()})")
     if name is None:
-        with path.open("rb") as file:
-            head = file.read(12)
-        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found a file that begins with {head!r}")
+        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found a file that begins with {head[:12]!r}")
     return name
 
 
 def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
-    """The files that paths name, each once; folders give those in them that are of a known format."""
+    """The files that paths name, each once; folders give those in them that are of a known format.
+
+    A name in the zoo is a path, too. A file that is called so comes as its absolute path, which is no such name.
+    """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     files: dict[Path, Path] = {}
@@ -200,6 +211,11 @@ def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
             if given == "":  # which a Path takes for this folder
                 raise DataError(f"expected a path of measured BRDFs ({_known()}), found an empty one")
             path = Path(given)
+            if is_zoo(given):
+                zoo_record(given)  # says if there is none
+                files[path] = path
+                continue
+            path = _file(path)
             with reading(path, "measured BRDFs"):  # a name may be too long for the system
                 for file in _folder(path) if path.is_dir() else [path]:
                     if not file.is_file():
@@ -212,12 +228,17 @@ def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
     return list(files.values())
 
 
+def _file(path: Path) -> Path:
+    """The path of a file, whatever it is called."""
+    return path.absolute() if is_zoo(path) else path
+
+
 def _folder(path: Path) -> list[Path]:
     try:
         inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    known = [file for file in inside if format_of(file)]
+    known = [file for file in map(_file, inside) if format_of(file)]
     if not known:
         raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {len(inside)} files, none of them one")
     return known

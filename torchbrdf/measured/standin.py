@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
@@ -74,6 +75,15 @@ class StandIn(BrdfFormat):
                     values[rows, part] = model(own)
         return Lookup(values, torch.zeros(len(materials), dtype=torch.int64, device=pairs.device))
 
+    def details(self, material: int) -> dict[str, object]:
+        """The model, what it is a model of where that is said, and how far its pictures are from the material's."""
+        record = self.records[material]
+        source = record.extra.get("source")
+        facts: dict[str, object] = {"model": record.model, "lobes": record.lobes}
+        facts |= {"model of": one_line(source)} if isinstance(source, str) else {}
+        facts |= {f"{key} of {scene}": value for scene, own in record.pictures.items() for key, value in own.items()}
+        return facts | {"parameters": dict(record.parameters)}
+
     def _batched(
         self, materials: tuple[int, ...], dtype: torch.dtype, device: torch.device
     ) -> list[tuple[list[int], Sum]]:
@@ -101,4 +111,4 @@ def standins() -> Path:
 
 
 def _full_name(record: FitRecord) -> str:
-    return "-".join([record.material, record.model, str(record.lobes), record.loss])
+    return "-".join([record.material, record.model, str(record.lobes), record.loss]).removesuffix("-")
