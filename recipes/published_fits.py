@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
+
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment import STANDINS, FitGridRecipe, load_materials
 from torchbrdf.experiment.published import compare_published, models_of
@@ -28,9 +30,22 @@ class PublishedFitsRecipe(FitGridRecipe):
     fits: str = field(default="published_fits.json", metadata={"help": "published parameters"})
     sets: tuple[str, ...] = field(default=(), metadata={"help": "names of sets in it; none: all that are known"})
     models: tuple[str, ...] = field(default=(), metadata={"help": "of the sets; none: all"})
-    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log", "learned")
+    losses: tuple[str, ...] = (
+        "rms", "cosine_rms", "solid_angle_cosine_rms", "cube_root", "compressed", "log", "learned",
+    )  # fmt: skip
     lobes: int = field(default=1, metadata={"help": "published fits have one", "low": 1, "high": 1})
     diffuse: str = field(default="fit", metadata={"help": "fit, as in the published fits; or 45:0"})
+    fitted: int | None = field(
+        default=None,
+        metadata={
+            "help": "materials that we fit, chosen evenly, or all; published fits of all are scored",
+            "low": 1, "high": 10_000, "none": ("all", "0"),
+        },
+    )  # fmt: skip
+    every: int = field(
+        default=1,
+        metadata={"help": "count one of so many pairs, for less time; 7 is near the same", "low": 1, "high": 1000},
+    )
 
     def __post_init__(self) -> None:
         if not self.quick and not self.materials:
@@ -47,9 +62,11 @@ class PublishedFitsRecipe(FitGridRecipe):
         groups, bad = load_materials(STANDINS if self.quick else self.materials, folder, self.quick)
         if self.quick:
             published = {MADE_UP: _made_up(groups[0])}
+        groups = [_thinned(group, self.every) for group in groups]
+        chosen = [_evenly(group, self.fitted) for group in groups]
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
-        grid = self.make_grid(folder, groups, losses, models=tuple(models_of(published)), lobes=(1,))
-        found = compare_published(grid, published)
+        grid = self.make_grid(folder, chosen, losses, models=tuple(models_of(published)), lobes=(1,))
+        found = compare_published(grid, published, groups)
         sources = {name: one.source for name, one in published.items()}
         return write_published_report(grid, found, sources, bad)
 
@@ -67,6 +84,19 @@ class PublishedFitsRecipe(FitGridRecipe):
                 f"{self.name}: models: expected some of {', '.join({*models.values()})}, found none of them"
             )
         return kept
+
+
+def _thinned(measured: Measured, every: int) -> Measured:
+    """One of so many pairs, in a file's order."""
+    return measured.batch(samples=torch.arange(0, len(measured.pairs), every)) if every > 1 else measured
+
+
+def _evenly(measured: Measured, count: int | None) -> Measured:
+    """So many of the materials, evenly along their order."""
+    total = len(measured)
+    if count is None or count >= total:
+        return measured
+    return measured.batch([k * total // count for k in range(count)])
 
 
 def _made_up(measured: Measured) -> PublishedFits:

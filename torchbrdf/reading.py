@@ -190,7 +190,7 @@ def _reason(error: Exception, data: bytes) -> str:
 
 
 def _first_not_finite(data: bytes) -> str:
-    """Where a file has NaN or a number beyond all floats, which other programs write and JSON has not; "" if nowhere."""
+    """Where a file has NaN or a number beyond all floats, which other programs write; "" if nowhere."""
     try:
         pending = [("$", json.loads(data))]
     except (ValueError, RecursionError):  # not even that
