@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import UsageError, shown
 from torchbrdf.experiment import STANDINS, FitGridRecipe, load_materials
 from torchbrdf.experiment.published import compare_published, models_of
 from torchbrdf.fitting import fit
@@ -38,7 +38,7 @@ class PublishedFitsRecipe(FitGridRecipe):
     fitted: int | None = field(
         default=None,
         metadata={
-            "help": "materials that we fit, chosen evenly, or all; published fits of all are scored",
+            "help": "materials of each format that we fit, chosen evenly; published fits of all are scored",
             "low": 1, "high": 10_000, "none": ("all", "0"),
         },
     )  # fmt: skip
@@ -63,7 +63,8 @@ class PublishedFitsRecipe(FitGridRecipe):
         if self.quick:
             published = {MADE_UP: _made_up(groups[0])}
         groups = [_thinned(group, self.every) for group in groups]
-        chosen = [_evenly(group, self.fitted) for group in groups]
+        groups = _known(groups, published)
+        chosen = groups if self.fitted is None else _evenly(groups, self.fitted)
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         grid = self.make_grid(folder, chosen, losses, models=tuple(models_of(published)), lobes=(1,))
         found = compare_published(grid, published, groups)
@@ -91,12 +92,24 @@ def _thinned(measured: Measured, every: int) -> Measured:
     return measured.batch(samples=torch.arange(0, len(measured.pairs), every)) if every > 1 else measured
 
 
-def _evenly(measured: Measured, count: int | None) -> Measured:
-    """So many of the materials, evenly along their order."""
-    total = len(measured)
-    if count is None or count >= total:
-        return measured
-    return measured.batch([k * total // count for k in range(count)])
+def _known(groups: list[Measured], published: dict[str, PublishedFits]) -> list[Measured]:
+    """The materials that some set has."""
+    names = {name for one in published.values() for name in one.materials}
+    rows = [[k for k, name in enumerate(group.names) if name in names] for group in groups]
+    if not any(rows):
+        raise UsageError(
+            f"published_fits: materials: expected some of those that were fitted, such as {shown(min(names))}, "
+            f"found {shown(groups[0].names[0])}"
+        )
+    return [group.batch(own) for group, own in zip(groups, rows, strict=True) if own]
+
+
+def _evenly(groups: list[Measured], count: int) -> list[Measured]:
+    """So many of the materials of each group, or all, evenly along their order."""
+    return [
+        group.batch([k * len(group) // count for k in range(count)]) if count < len(group) else group
+        for group in groups
+    ]
 
 
 def _made_up(measured: Measured) -> PublishedFits:

@@ -35,15 +35,21 @@ class Comparison:
     ours: np.ndarray = field(repr=False)
 
     @property
+    def fitted(self) -> np.ndarray:
+        """Which of the materials we fitted, `(M,)`."""
+        return np.isfinite(self.ours)
+
+    @property
     def ratio(self) -> np.ndarray:
         """Published errors over ours, of the materials that we fitted; above 1 ours are lower."""
-        return (self.published / self.ours)[np.isfinite(self.ours)]
+        return (self.published / self.ours)[self.fitted]
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a material, for a table."""
+        """A row a material, for a table; empty where we have no fit."""
+        ours = [value if fitted else None for value, fitted in zip(self.ours.tolist(), self.fitted, strict=True)]
         return [
             {"set": self.name, "model": self.model, "loss": self.loss, "material": name, "published": a, "ours": b}
-            for name, a, b in zip(self.materials, self.published.tolist(), self.ours.tolist(), strict=True)
+            for name, a, b in zip(self.materials, self.published.tolist(), ours, strict=True)
         ]
 
 
