@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from torchbrdf.errors import UsageError
+import torch
+
+from torchbrdf.errors import UsageError, shown
 from torchbrdf.experiment import STANDINS, FitGridRecipe, load_materials
 from torchbrdf.experiment.published import compare_published, models_of
 from torchbrdf.fitting import fit
@@ -28,9 +30,22 @@ class PublishedFitsRecipe(FitGridRecipe):
     fits: str = field(default="published_fits.json", metadata={"help": "published parameters"})
     sets: tuple[str, ...] = field(default=(), metadata={"help": "names of sets in it; none: all that are known"})
     models: tuple[str, ...] = field(default=(), metadata={"help": "of the sets; none: all"})
-    losses: tuple[str, ...] = ("rms", "cosine_rms", "cube_root", "compressed", "log", "learned")
+    losses: tuple[str, ...] = (
+        "rms", "cosine_rms", "solid_angle_cosine_rms", "cube_root", "compressed", "log", "learned",
+    )  # fmt: skip
     lobes: int = field(default=1, metadata={"help": "published fits have one", "low": 1, "high": 1})
     diffuse: str = field(default="fit", metadata={"help": "fit, as in the published fits; or 45:0"})
+    fitted: int | None = field(
+        default=None,
+        metadata={
+            "help": "materials of each format that we fit, chosen evenly; published fits of all are scored",
+            "low": 1, "high": 10_000, "none": ("all", "0"),
+        },
+    )  # fmt: skip
+    every: int = field(
+        default=1,
+        metadata={"help": "count one of so many pairs, for less time; 7 is near the same", "low": 1, "high": 1000},
+    )
 
     def __post_init__(self) -> None:
         if not self.quick and not self.materials:
@@ -47,9 +62,12 @@ class PublishedFitsRecipe(FitGridRecipe):
         groups, bad = load_materials(STANDINS if self.quick else self.materials, folder, self.quick)
         if self.quick:
             published = {MADE_UP: _made_up(groups[0])}
+        groups = [_thinned(group, self.every) for group in groups]
+        groups = _known(groups, published)
+        chosen = groups if self.fitted is None else _evenly(groups, self.fitted)
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
-        grid = self.make_grid(folder, groups, losses, models=tuple(models_of(published)), lobes=(1,))
-        found = compare_published(grid, published)
+        grid = self.make_grid(folder, chosen, losses, models=tuple(models_of(published)), lobes=(1,))
+        found = compare_published(grid, published, groups)
         sources = {name: one.source for name, one in published.items()}
         return write_published_report(grid, found, sources, bad)
 
@@ -67,6 +85,31 @@ class PublishedFitsRecipe(FitGridRecipe):
                 f"{self.name}: models: expected some of {', '.join({*models.values()})}, found none of them"
             )
         return kept
+
+
+def _thinned(measured: Measured, every: int) -> Measured:
+    """One of so many pairs, in a file's order."""
+    return measured.batch(samples=torch.arange(0, len(measured.pairs), every)) if every > 1 else measured
+
+
+def _known(groups: list[Measured], published: dict[str, PublishedFits]) -> list[Measured]:
+    """The materials that some set has."""
+    names = {name for one in published.values() for name in one.materials}
+    rows = [[k for k, name in enumerate(group.names) if name in names] for group in groups]
+    if not any(rows):
+        raise UsageError(
+            f"published_fits: materials: expected some of those that were fitted, such as {shown(min(names))}, "
+            f"found {shown(groups[0].names[0])}"
+        )
+    return [group.batch(own) for group, own in zip(groups, rows, strict=True) if own]
+
+
+def _evenly(groups: list[Measured], count: int) -> list[Measured]:
+    """So many of the materials of each group, or all, evenly along their order."""
+    return [
+        group.batch([k * len(group) // count for k in range(count)]) if count < len(group) else group
+        for group in groups
+    ]
 
 
 def _made_up(measured: Measured) -> PublishedFits:

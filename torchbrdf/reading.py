@@ -1,8 +1,10 @@
 """Reading files that may hold anything: whatever is wrong with one becomes a DataError that names it."""
 
 import hashlib
+import json
 import os
 import stat
+import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -175,14 +177,33 @@ def read_json(path: Path | str, kind: type[T] | Any, expected: str) -> T:
     try:
         return msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"), type=kind)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        reason = "JSON that is nested too deep" if isinstance(error, RecursionError) else _reason(error)
+        reason = "JSON that is nested too deep" if isinstance(error, RecursionError) else _reason(error, data)
         raise DataError(f"{path}: expected {expected}, found {reason}") from None
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: Exception, data: bytes) -> str:
     """msgspec's message, such as "Expected `str`, got `null` - at `$[0].material`", as a part of ours."""
     text = str(error)
+    if ("malformed" in text or "out of range" in text) and (place := _first_not_finite(data)):
+        return place
     return text if text.startswith("JSON") else text[:1].lower() + text[1:]
+
+
+def _first_not_finite(data: bytes) -> str:
+    """Where a file has NaN or a number beyond all floats, which other programs write; "" if nowhere."""
+    try:
+        pending = [("$", json.loads(data))]
+    except (ValueError, RecursionError):  # not even that
+        return ""
+    while pending:
+        place, value = pending.pop()
+        if isinstance(value, dict):
+            pending += [(f"{place}.{key[:40]}", item) for key, item in reversed(value.items())]
+        elif isinstance(value, list):
+            pending += [(f"{place}[{k}]", value[k]) for k in range(len(value) - 1, -1, -1)]
+        elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+            return f"{shown(value, 30)} at `{place}`, where a finite number has to be"
+    return ""
 
 
 def write_npz(path: Path | str, arrays: Mapping[str, "np.ndarray"], *, compressed: bool = False) -> None:

@@ -48,6 +48,10 @@ def exact_ward(g: Geometry, specular: mpf, alpha: mpf) -> mpf:
     return specular * lobe / mpmath.sqrt(g.n_i * g.n_o)
 
 
+def exact_duer(g: Geometry, specular: mpf, alpha: mpf) -> mpf:
+    return exact_ward(g, specular, alpha) / mpmath.sqrt(g.n_i * g.n_o)
+
+
 def exact_cook_torrance(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
     d = mpmath.exp(-((mpmath.tan(g.delta) / m) ** 2)) / (m**2 * mpmath.cos(g.delta) ** 4)
     return specular / mpmath.pi * d * masking(g) / (g.n_i * g.n_o) * fresnel(g, f0)
@@ -85,9 +89,25 @@ def exact_dielectric(cosine: mpf, ior: mpf) -> mpf:
     return (across**2 + along**2) / 2
 
 
+def exact_cook_torrance_ior(g: Geometry, specular: mpf, m: mpf, ior: mpf) -> mpf:
+    return exact_cook_torrance(g, specular, m, mpf(1)) * exact_dielectric(g.o_h, ior)
+
+
+def exact_ashikhmin_shirley_ior(g: Geometry, specular: mpf, m: mpf, ior: mpf) -> mpf:
+    return exact_ashikhmin_shirley(g, specular, m, mpf(1)) * exact_dielectric(g.o_h, ior)
+
+
 def exact_abc(g: Geometry, a: mpf, b: mpf, c: mpf, ior: mpf) -> mpf:
     d = a / (1 + b * (1 - g.n_h)) ** c
     return d * masking(g) * exact_dielectric(g.o_h, ior) / (mpmath.pi * g.n_i * g.n_o)
+
+
+def exact_abc_smooth(g: Geometry, a: mpf, b: mpf, c: mpf, ior: mpf) -> mpf:
+    """Eq. 10 to 14 of Low et al., from the directions in the plane of the surface."""
+    # Of the half vector's angle: the directions themselves are of length 1 to 16 digits only.
+    aside = 4 * g.o_h**2 * mpmath.sin(g.delta) ** 2
+    across = sum((i - o) ** 2 for i, o in zip(g.wi[:2], g.wo[:2], strict=True))
+    return a / (1 + b * aside) ** c * exact_dielectric(mpmath.sqrt(1 - across / 4), ior)
 
 
 def exact_shifted_gamma(
@@ -318,6 +338,10 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "distribution_based": (exact_distribution_based, [table, f0s, fresnel_table]),
     "blinn_phong": (exact_blinn_phong, [unit, decades(0.001, 200_000)]),
     "abc": (exact_abc, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
+    "abc_smooth": (exact_abc_smooth, [st.floats(0, 10_000), decades(1, 1e7), decades(0.01, 10), decades(1.02, 100)]),
+    "duer": (exact_duer, [unit, decades(0.001, 0.5)]),
+    "cook_torrance_ior": (exact_cook_torrance_ior, [unit, decades(0.001, 3), decades(1.02, 100)]),
+    "ashikhmin_shirley_ior": (exact_ashikhmin_shirley_ior, [unit, decades(0.001, 1e6), decades(1.02, 100)]),
     "ggx": (exact_ggx, [unit, decades(0.001, 1), f0s]),
     "beckmann": (exact_beckmann, [unit, decades(0.001, 1), f0s]),
     "gtr": (exact_gtr, [unit, decades(0.001, 1), decades(0.5, 10), f0s]),

@@ -5,11 +5,12 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from torchbrdf.errors import UsageError
 from torchbrdf.experiment.published import Comparison
 from torchbrdf.fitting import cross_score
-from torchbrdf.lobes import Lambert, Sum, Ward, read_fits
+from torchbrdf.lobes import Lambert, Sum, Ward, model_of, read_fits
 from torchbrdf.losses import make_loss
 from torchbrdf.measured import load, standins
 from torchbrdf.measured.merl import CHANNEL_FACTORS
@@ -43,7 +44,7 @@ def test_errors_are_those_of_the_published_parameters(published, tmp_path):
     wanted = cross_score([model], measured, [make_loss("rms"), make_loss("cube_root")])[:, 0]
     assert [float(r["published"]) for r in rows] == pytest.approx(wanted.flatten().tolist(), rel=1e-4)
     assert all(float(r["ours"]) <= float(r["published"]) for r in rows)
-    assert len(read_fits(out / "fits.json")) == 10 * 2
+    assert {fit.material for fit in read_fits(out / "fits.json")} == {"nickel", "nylon"}
     page = report.read_text()
     assert "ngan_ward" in page and "2 of 2" in page and "Ngan" in page and "data:image/png" in page
 
@@ -56,6 +57,28 @@ def test_ratio_of_a_comparison():
     }  # fmt: skip
 
 
+def test_fits_of_some_materials_and_pairs(published, tmp_path):
+    """All that were published are scored; medians beside ours are of the materials that we fitted."""
+    settings = FEW | {"materials": "stand-ins", "fits": str(published), "fitted": "1", "every": "7"}
+    report = run(configure(RECIPES["published_fits"], settings), tmp_path / "out")
+    with (tmp_path / "out" / "errors.csv").open() as file:
+        rows = {(r["material"], r["loss"]): r for r in csv.DictReader(file)}
+    own = {("nickel", fit.loss): fit.error for fit in read_fits(tmp_path / "out" / "fits.json")}
+    assert len(rows) == 4 and len(own) == 2
+    for key, row in rows.items():
+        assert row["ours"] == "" if key not in own else float(row["ours"]) == pytest.approx(own[key])
+    thinned = load(standins()).batch([6])
+    thinned = thinned.batch(samples=torch.arange(0, len(thinned.pairs), 7)).within(30)
+    wanted = cross_score([model_of([read_fits(tmp_path / "out" / "fits.json")[0]])], thinned, [make_loss("rms")]).item()
+    assert own["nickel", "rms"] == pytest.approx(wanted, rel=1e-5)
+    assert "1 of 1" in report.read_text() and "nan" not in report.read_text().split("By set")[1].split("<details")[0]
+
+
+def test_medians_are_of_what_was_fitted():
+    one = Comparison("set", "ward", "rms", ["a", "b"], np.array([2.0, 1.0]), np.array([np.nan, 0.5]))
+    assert one.ratio.tolist() == [2.0] and one.fitted.tolist() == [False, True]
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
@@ -63,8 +86,19 @@ def test_ratio_of_a_comparison():
         ({"materials": "stand-ins", "sets": "nope"}, "sets: expected some of ngan_ward, found 'nope'"),
         ({"materials": "stand-ins", "models": "ggx"}, "models: expected some of ward"),
         ({"materials": "stand-ins", "losses": "nope"}, "unknown loss 'nope'"),
+        ({"materials": "stand-ins", "fitted": "-1"}, "fitted: expected"),
+        ({"materials": "stand-ins", "every": "0"}, "every: expected"),
     ],
 )
 def test_settings_that_cannot_be(settings, said, published, tmp_path):
     with pytest.raises(UsageError, match=said):
         run(configure(RECIPES["published_fits"], {"fits": str(published)} | settings), tmp_path / "out")
+
+
+def test_materials_that_nobody_fitted(tmp_path):
+    fit = {"model": "NganWard", "diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS}
+    path = tmp_path / "published_fits.json"
+    path.write_text(json.dumps({"ngan_ward": {"unobtainium": fit}}))
+    settings = FEW | {"materials": "stand-ins", "fits": str(path)}
+    with pytest.raises(UsageError, match="expected some of those that were fitted, such as 'unobtainium', found 'alum"):
+        run(configure(RECIPES["published_fits"], settings), tmp_path / "out")

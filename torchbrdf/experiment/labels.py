@@ -9,6 +9,9 @@ STAND_IN = "stand-in materials, not measurements"
 LOSS_LABELS = {"rms": "RMS", "cosine_rms": "cosine RMS", "solid_angle_cosine_rms": "solid-angle cosine RMS"}
 MODEL_LABELS = {
     "abc": "ABC",
+    "abc_smooth": "ABC, smooth",
+    "ashikhmin_shirley_ior": "Ashikhmin-Shirley, index",
+    "cook_torrance_ior": "Cook-Torrance, index",
     "distribution_based": "distribution-based",
     "eon": "EON",
     "ggx": "GGX",

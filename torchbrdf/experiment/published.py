@@ -24,7 +24,7 @@ class Comparison:
         loss: registered name of the metric.
         materials: M.
         published: errors of the published parameters, `(M,)`.
-        ours: errors of our fits, `(M,)`.
+        ours: errors of our fits, `(M,)`; NaN where there is none.
     """
 
     name: str
@@ -35,15 +35,21 @@ class Comparison:
     ours: np.ndarray = field(repr=False)
 
     @property
+    def fitted(self) -> np.ndarray:
+        """Which of the materials we fitted, `(M,)`."""
+        return np.isfinite(self.ours)
+
+    @property
     def ratio(self) -> np.ndarray:
-        """Published errors over ours; above 1 ours are lower."""
-        return self.published / self.ours
+        """Published errors over ours, of the materials that we fitted; above 1 ours are lower."""
+        return (self.published / self.ours)[self.fitted]
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a material, for a table."""
+        """A row a material, for a table; empty where we have no fit."""
+        ours = [value if fitted else None for value, fitted in zip(self.ours.tolist(), self.fitted, strict=True)]
         return [
             {"set": self.name, "model": self.model, "loss": self.loss, "material": name, "published": a, "ours": b}
-            for name, a, b in zip(self.materials, self.published.tolist(), self.ours.tolist(), strict=True)
+            for name, a, b in zip(self.materials, self.published.tolist(), ours, strict=True)
         ]
 
 
@@ -52,27 +58,31 @@ def models_of(published: Mapping[str, PublishedFits]) -> list[str]:
     return list(dict.fromkeys(model_name(one.model)[0] for one in published.values()))
 
 
-def compare_published(grid: FitGrid, published: Mapping[str, PublishedFits]) -> list[Comparison]:
+def compare_published(
+    grid: FitGrid, published: Mapping[str, PublishedFits], groups: Sequence[Measured]
+) -> list[Comparison]:
     """Score published fits under the losses of a grid of our fits, which is fitted first.
 
     Args:
         grid: of our fits with one lobe, of the models of these sets.
         published: sets by name.
+        groups: the materials whose published fits are scored; those of the grid are among them.
 
     Returns:
         One for each set and loss; `errors.csv` in the grid's folder has all of it.
     """
     grid.fit()
+    own = {(record.material, record.model, record.loss): record.error for record in grid.records}
     found = []
     progress = grid.folder.progress("published sets")
     for k, one in enumerate(published.values()):
         model = model_name(one.model)[0]
         losses = list(grid.losses.values())
-        scored = [_score(one, group.within(grid.max_theta), losses) for group in grid.groups]
+        scored = [_score(one, group.within(grid.max_theta), losses) for group in groups]
         names = [name for own, _ in scored for name in own]
         errors = np.concatenate([values for _, values in scored], 1)
         for loss, row in zip(grid.losses, errors, strict=True):
-            ours = np.array([grid.record(name, model, loss).error for name in names])
+            ours = np.array([own.get((name, model, loss), np.nan) for name in names])
             found.append(Comparison(one.name, model, loss, names, row, ours))
         progress(k + 1, len(published))
     write_csv(grid.folder.path / "errors.csv", [row for one in found for row in one.rows()])

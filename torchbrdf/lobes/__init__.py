@@ -2,13 +2,17 @@
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
 from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
+from torchbrdf.lobes.abc_smooth import LowABCSmooth, abc_smooth
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
+from torchbrdf.lobes.ashikhmin_shirley_ior import AshikhminShirleyIOR, ashikhmin_shirley_ior
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.beckmann import Beckmann, beckmann
 from torchbrdf.lobes.blinn_phong import BlinnPhong, blinn_phong
 from torchbrdf.lobes.charlie import Charlie, charlie
 from torchbrdf.lobes.cook_torrance import CookTorrance, cook_torrance
+from torchbrdf.lobes.cook_torrance_ior import CookTorranceIOR, cook_torrance_ior
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
+from torchbrdf.lobes.duer import Duer, duer
 from torchbrdf.lobes.eon import EON, eon
 from torchbrdf.lobes.fresnel import conductor, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
@@ -49,18 +53,22 @@ __all__ = [
     "LOBES",
     "ROUGHNESS",
     "AshikhminShirley",
+    "AshikhminShirleyIOR",
     "Beckmann",
     "BlinnPhong",
     "BoundedParameter",
     "Charlie",
     "CookTorrance",
+    "CookTorranceIOR",
     "DistributionBased",
+    "Duer",
     "FitRecord",
     "He",
     "Lafortune",
     "Lambert",
     "Lobe",
     "LowABC",
+    "LowABCSmooth",
     "OpenPBR",
     "OrenNayar",
     "OutsideBoundsWarning",
@@ -73,19 +81,23 @@ __all__ = [
     "Ward",
     "WardDuer",
     "abc",
+    "abc_smooth",
     "albedo",
     "alpha_to_exponent",
     "alpha_to_roughness",
     "apply_albedo",
     "ashikhmin_shirley",
+    "ashikhmin_shirley_ior",
     "beckmann",
     "blinn_phong",
     "charlie",
     "clamp_cosine",
     "conductor",
     "cook_torrance",
+    "cook_torrance_ior",
     "dielectric",
     "distribution_based",
+    "duer",
     "eon",
     "exponent_to_alpha",
     "from_parameters",

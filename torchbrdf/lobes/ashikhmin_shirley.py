@@ -41,10 +41,10 @@ def ashikhmin_shirley(pairs: Pairs, specular: Tensor, exponent: Tensor, f0: Tens
         >>> ashikhmin_shirley(pairs, colour, torch.tensor([50.0]), torch.tensor([0.3]))
         tensor([[0.0227, 0.0454, 0.0681]])
     """
-    return apply_albedo(pairs, _power(pairs, exponent) * fresnel(f0, pairs), specular)
+    return apply_albedo(pairs, half_power(pairs, exponent) * fresnel(f0, pairs), specular)
 
 
-def _power(pairs: Pairs, exponent: Tensor) -> Tensor:
+def half_power(pairs: Pairs, exponent: Tensor) -> Tensor:
     """(m + 1) / (8 pi) * cos_h^m / (cos_d max(cos_i, cos_o))."""
     # cos_h^m by way of tan2_h: at m = 50000 a float32 cos_h near 1 has too few digits.
     return clamped_exp(log_secant(pairs) * (-0.5 * exponent)) * (_geometry(pairs) * (exponent + 1))
@@ -58,6 +58,11 @@ def _geometry(pairs: Pairs) -> Tensor:
         return safe_ratio(1, clamp_cosine(pairs.cos_d) * highest) / (8 * math.pi)
 
     return pairs.cached(_geometry, make)
+
+
+def log_half_power_derivative(pairs: Pairs, exponent: Tensor) -> Tensor:
+    """Derivative of log(half_power) by m: 1 / (m + 1) + log(cos_h)."""
+    return torch.add(1 / (exponent + 1), log_secant(pairs), alpha=-0.5)
 
 
 @LOBES.register("ashikhmin_shirley")
@@ -87,10 +92,10 @@ class AshikhminShirley(Lobe):
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dm = shape (1 / (m + 1) + log(cos_h)), d/dF0 = shape / F (1 - (1 - cos_d)^5)."""
         exponent, f0 = scalars
-        power = _power(pairs, exponent)
+        power = half_power(pairs, exponent)
         shape = power * fresnel(f0, pairs)
-        slope = torch.add(1 / (exponent + 1), log_secant(pairs), alpha=-0.5)
-        return [shape, shape * slope, power * (1 - schlick_weight(pairs))]
+        slope = shape * log_half_power_derivative(pairs, exponent)
+        return [shape, slope, power * (1 - schlick_weight(pairs))]
 
     @classmethod
     def pair_factors(cls, pairs: Pairs) -> list[Tensor]:

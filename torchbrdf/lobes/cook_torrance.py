@@ -45,10 +45,10 @@ def cook_torrance(pairs: Pairs, specular: Tensor, roughness: Tensor, f0: Tensor)
         >>> cook_torrance(pairs, colour, torch.tensor([0.1]), torch.tensor([0.3]))
         tensor([[0.0185, 0.0369, 0.0554]])
     """
-    return apply_albedo(pairs, _facets(pairs, roughness) * fresnel(f0, pairs), specular)
+    return apply_albedo(pairs, facets(pairs, roughness) * fresnel(f0, pairs), specular)
 
 
-def _facets(pairs: Pairs, roughness: Tensor) -> Tensor:
+def facets(pairs: Pairs, roughness: Tensor) -> Tensor:
     """D G / (pi cos_i cos_o)."""
     inverse = roughness.square().reciprocal()
     return beckmann_exponential(pairs, inverse) * (v_groove(pairs) * (inverse / math.pi))
@@ -81,9 +81,9 @@ class CookTorrance(Lobe):
     def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
         """d/dm = shape (2 tan2_h / m^3 - 2 / m), d/dF0 = D G (1 - (1 - cos_d)^5) / (pi cos_i cos_o)."""
         roughness, f0 = scalars
-        facets = _facets(pairs, roughness)
-        shape = facets * fresnel(f0, pairs)
-        return [shape, shape * log_beckmann_derivative(pairs, roughness), facets * (1 - schlick_weight(pairs))]
+        own = facets(pairs, roughness)
+        shape = own * fresnel(f0, pairs)
+        return [shape, shape * log_beckmann_derivative(pairs, roughness), own * (1 - schlick_weight(pairs))]
 
     @classmethod
     def pair_factors(cls, pairs: Pairs) -> list[Tensor]:

@@ -15,7 +15,10 @@ from matplotlib.ticker import LogFormatter
 
 from torchbrdf.files import write_bytes
 
-COLORS = {"rms": "#c44e52", "cosine_rms": "#dd8452", "cube_root": "#4c72b0", "compressed": "#55a868", "log": "#8172b3"}
+COLORS = {
+    "rms": "#c44e52", "cosine_rms": "#dd8452", "solid_angle_cosine_rms": "#ccb974", "cube_root": "#4c72b0",
+    "compressed": "#55a868", "log": "#8172b3",
+}  # fmt: skip
 # Of a mark, to an inch.
 LETTERS = 16
 _STYLE: Any = {

@@ -78,11 +78,39 @@ def _bagher(fit: Numbers) -> Numbers:
     }
 
 
+# E1 and E2 are the errors that Low et al. minimised: of values times cosines, and of the logarithm of 1 and that.
+LOW_COOK_TORRANCE = _Reading(
+    LOW,
+    "LowCookTorrance",
+    "cook_torrance_ior",
+    {"specular": COLOR, "roughness": NUMBER, "eta": NUMBER},
+    ("roughness", "eta"),
+    lambda fit: {"specular": fit["specular"], "roughness": fit["roughness"], "ior": fit["eta"]},
+)
+# Its `fresnelReflectance` is an index of refraction.
+LOW_ASHIKHMIN_SHIRLEY = _Reading(
+    LOW,
+    "LowAshikhminShirley",
+    "ashikhmin_shirley_ior",
+    {"specular": COLOR, "sharpness": NUMBER, "fresnelReflectance": NUMBER},
+    ("sharpness", "fresnelReflectance"),
+    lambda fit: {"specular": fit["specular"], "exponent": fit["sharpness"], "ior": fit["fresnelReflectance"]},
+)
+
 SETS = {
     "ngan_ward": _Reading(
         NGAN,
         "NganWard",
         "ward",
+        {"specular": COLOR, "roughness": NUMBER},
+        ("roughness",),
+        lambda fit: {"specular": fit["specular"], "roughness": fit["roughness"]},
+        raw=True,
+    ),
+    "ngan_wardduer": _Reading(
+        NGAN,
+        "NganWardDuer",
+        "duer",
         {"specular": COLOR, "roughness": NUMBER},
         ("roughness",),
         lambda fit: {"specular": fit["specular"], "roughness": fit["roughness"]},
@@ -146,10 +174,23 @@ SETS = {
         },
         raw=True,
     ),
+    "low_cooktorrance_E1": LOW_COOK_TORRANCE,
+    "low_cooktorrance_E2": LOW_COOK_TORRANCE,
+    "low_ashikhminshirley_E1": LOW_ASHIKHMIN_SHIRLEY,
+    "low_ashikhminshirley_E2": LOW_ASHIKHMIN_SHIRLEY,
     "low_lowmicrofacet_E2": _Reading(
         LOW,
         "LowMicrofacetFit",
         "abc",
+        {"A": COLOR, "B": NUMBER, "C": NUMBER, "eta": NUMBER},
+        ("B", "C", "eta"),
+        lambda fit: {"amplitude": fit["A"], "sharpness": fit["B"], "exponent": fit["C"], "ior": fit["eta"]},
+    ),
+    # Without the 1/pi of the microfacet model's.
+    "low_lowsmooth_E2": _Reading(
+        LOW,
+        "LowSmooth",
+        "abc_smooth",
         {"A": COLOR, "B": NUMBER, "C": NUMBER, "eta": NUMBER},
         ("B", "C", "eta"),
         lambda fit: {"amplitude": fit["A"], "sharpness": fit["B"], "exponent": fit["C"], "ior": fit["eta"]},
@@ -164,9 +205,7 @@ SETS = {
         _bagher,
     ),
 }
-"""The sets whose models are exactly ours. Not among them: Duer's form of Ward, which `ward_duer` is not, and the smooth
-ABC model, which are no lobes here, and Low's Cook-Torrance and Ashikhmin-Shirley, whose Fresnel term has an index of
-refraction."""
+"""How each set is read; the lobe is exactly the model that was fitted."""
 
 
 @dataclass(frozen=True)
