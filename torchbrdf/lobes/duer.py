@@ -45,12 +45,17 @@ def duer(pairs: Pairs, specular: Tensor, roughness: Tensor) -> Tensor:
 
 def _shape(pairs: Pairs, roughness: Tensor) -> Tensor:
     """exp(-tan2_h / a^2) / (4 pi a^2 cos_i cos_o)."""
+    inverse = roughness.square().reciprocal()
+    return clamped_exp(tangent(pairs) * -inverse) * (_geometry(pairs) * inverse)
 
-    def geometry() -> Tensor:
+
+def _geometry(pairs: Pairs) -> Tensor:
+    """1 / (4 pi cos_i cos_o)."""
+
+    def make() -> Tensor:
         return safe_ratio(1 / (4 * math.pi), clamp_cosine(pairs.cos_i) * clamp_cosine(pairs.cos_o))
 
-    inverse = roughness.square().reciprocal()
-    return clamped_exp(tangent(pairs) * -inverse) * (pairs.cached(duer, geometry) * inverse)
+    return pairs.cached(_geometry, make)
 
 
 @LOBES.register("duer")
@@ -79,3 +84,8 @@ class Duer(Lobe):
         (roughness,) = scalars
         shape = _shape(pairs, roughness)
         return [shape, shape * log_beckmann_derivative(pairs, roughness)]
+
+    @classmethod
+    def pair_factors(cls, pairs: Pairs) -> list[Tensor]:
+        """1 / (4 pi cos_i cos_o)."""
+        return [_geometry(pairs)]

@@ -263,6 +263,24 @@ class Measured:
         """
         return self.lookup(pairs, interpolation).values
 
+    def reciprocal_at(self, pairs: Pairs) -> Tensor:
+        """Values as `at` gives them, of a measurement the mean of both orders of light and viewer.
+
+        No two of them are quite equal where both were measured, and scenes take one pair for both.
+
+        Args:
+            pairs: As of `at`.
+
+        Example:
+            >>> from torchbrdf.measured import load, standins
+            >>> angle = torch.tensor([0.0, 0.5])
+            >>> load(standins()).reciprocal_at(Pairs.from_half_diff(angle, angle, angle)).shape
+            torch.Size([10, 2, 3])
+        """
+        if self.source.is_reciprocal or self.stand_in:
+            return self.at(pairs)
+        return (self.at(pairs) + self.at(Pairs.from_directions(pairs.wo, pairs.wi))) / 2
+
     def lookup(self, pairs: Pairs, interpolation: Interpolation = "linear") -> Lookup:
         """Interpolated values as `at` gives them, with the count of pairs that had no valid neighbour."""
         if interpolation not in get_args(Interpolation):

@@ -128,7 +128,7 @@ class RenderedLoss(ImageLoss):
         if subset is not None:
             raise UsageError(f"{self.registered_name}: a picture has no subsets of pairs")
         pairs = self.pairs.to(measured.device, measured.dtype)
-        return Problem(pairs, measured.at(pairs).to(measured.device, measured.dtype))
+        return Problem(pairs, measured.reciprocal_at(pairs).to(measured.device, measured.dtype))
 
     def _on(self, like: Tensor) -> Transport:
         if self.transport.index.device != like.device:

@@ -129,7 +129,7 @@ class Judge:
 def values_of(brdf: Brdf, pairs: Pairs) -> Tensor:
     """Values of one material, a fit or a measurement, `(1, N, 3)`, float32."""
     if isinstance(brdf, Measured):
-        values = brdf.at(pairs)
+        values = brdf.reciprocal_at(pairs)
     else:
         model = model_of([brdf], torch.float32) if isinstance(brdf, FitRecord) else brdf.to(dtype=torch.float32)
         values = model(pairs)

@@ -102,7 +102,7 @@ def parts(judge: Judge, brdf: Brdf) -> list[Part]:
 def angles(judge: Judge, brdf: Brdf) -> list[Angles]:
     """What a BRDF reflects of what the measurement does, by half angle and by how far from the normal that is."""
     pairs = uniform_pairs(DIRECTIONS).unsqueeze().to(dtype=torch.float32)
-    measured, fitted = judge.measured.at(pairs)[0], values_of(brdf, pairs)[0]
+    measured, fitted = values_of(judge.measured, pairs)[0], values_of(brdf, pairs)[0]
     cosine = (pairs.cos_i * pairs.cos_o)[0]
     low = (torch.minimum(pairs.cos_i, pairs.cos_o) < 0.5)[0]
     half = torch.rad2deg(pairs.theta_h)[0]

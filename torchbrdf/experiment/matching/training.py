@@ -35,7 +35,7 @@ def evenly(measured: Measured) -> Measured:
     inside = torch.minimum(pairs.cos_i, pairs.cos_o)[0] > math.cos(math.radians(_MAX_THETA))
     pairs = pairs.select(samples=inside.nonzero()[:, 0])
     pairs = pairs.select(samples=stratified(len(pairs), _SAMPLES, 0))
-    return Measured.from_samples(pairs, measured.at(pairs), names=measured.names)
+    return Measured.from_samples(pairs, measured.reciprocal_at(pairs), names=measured.names)
 
 
 @undisturbed()
