@@ -101,8 +101,7 @@ class GlobalSearch:
         free: Parametrization,
         fit_diffuse: bool,
     ) -> "_Candidates":
-        """From the dictionary, if it serves the model, and the best of many from all over the bounds, if it does not
-        serve it well."""
+        """From the dictionary, and, where it serves the model badly or not, the best from all over the bounds."""
         materials, by_dictionary = coarse.material_indices, None
         if has_dictionary(task.model):
             found = starts_from_dictionary(
