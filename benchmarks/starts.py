@@ -42,13 +42,16 @@ def from_random_starts(model, measured, loss, count, seed):
     objective = make_objective(batched, loss.problem(measured), loss)
     low, high = free.limits()
     generator = torch.Generator().manual_seed(seed)
-    errors = []
-    for _ in range(count):
-        x = low + (high - low) * torch.rand(len(measured), len(low), generator=generator, dtype=torch.float64)
-        start = get_parameters(batched) | free.decode(x, torch.float64)
-        solve = levenberg_marquardt_fit if isinstance(objective, GaussNewtonObjective) else lbfgs_fit
-        errors.append(solve(objective, start, free, max_iterations=1000)[1].value)
-    return torch.stack(errors).nan_to_num(torch.inf)
+    x = low + (high - low) * torch.rand(count, len(measured), len(low), generator=generator, dtype=torch.float64)
+    held = get_parameters(batched)
+    if not isinstance(objective, GaussNewtonObjective):
+        starts = [held | free.decode(one, torch.float64) for one in x]
+        found = [lbfgs_fit(objective, start, free, max_iterations=1000)[1].value for start in starts]
+        return torch.stack(found).nan_to_num(torch.inf)
+    together = {name: value.repeat(count, *[1] * (value.dim() - 1)) for name, value in held.items()}
+    start, rows = together | free.decode(x.flatten(0, 1), torch.float64), objective.material_indices.repeat(count)
+    found = levenberg_marquardt_fit(objective, start, free, materials=rows, max_iterations=1000)[1].value
+    return found.reshape(count, -1).nan_to_num(torch.inf)
 
 
 def compare(name, measured, loss, starts, seed):

@@ -10,7 +10,7 @@ from helpers.known_models import COLORED, SHAPES, Made, assert_within_bounds, me
 from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.fitting import Batches, GlobalSearch, Status, fit, score, stratified
 from torchbrdf.fitting.batching import material_batches
-from torchbrdf.fitting.initialization import from_unit, starts_from_dictionary
+from torchbrdf.fitting.initialization import from_unit, most_shape_parameters, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.fitting.task import levenberg_marquardt_fit
@@ -47,7 +47,8 @@ def test_it_finds_what_a_model_was_made_from(name, loss_name):
     assert (result.error < 0.01 * zero_prediction_error).all()
     assert result.status == [Status.CONVERGED] * 2
     starts, best = (stage.name for stage in result.history)
-    assert starts.startswith("7 starts, ") and best.startswith("best 3, ")
+    count = 7 if most_shape_parameters(make_model(name, 2)) < 2 else 19  # a coarse grid has random ones beside it
+    assert starts.startswith(f"{count} starts, ") and best.startswith("best 3, ")
 
 
 @pytest.mark.parametrize(
@@ -94,6 +95,22 @@ def test_starts_are_near_the_truth(name, lobes):
     for one in free_parameters(model, range(lobes + 1)):
         value = found[one.name]
         assert value.shape[0] == 8 and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "lobes", "material", "least"),
+    [
+        ("lafortune", 2, "blue-acrylic", 0.2096),
+        ("gltf", 1, "gold-metallic-paint2", 0.1516),
+        ("principled", 1, "gold-metallic-paint2", 0.2059),
+    ],
+)
+def test_minima_are_found_whose_starts_are_slow_at_first(model, lobes, material, least):
+    """The least errors of 32 random starts: few steps, or a coarse grid alone, end 2 to 3 % above them."""
+    measured = load(standins(), dtype=torch.float64).within(80.0)
+    measured = measured.batch([measured.names.index(material)], samples=stratified(len(measured.pairs), 600, 0))
+    found = fit(make_model(model, lobes), measured, LOSSES["compressed"](), diffuse="fit", samples=None)
+    assert found.error.item() <= 1.005 * least
 
 
 @pytest.mark.parametrize("name", COLORED)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.initialization import has_dictionary, starts_from_dictionary
+from torchbrdf.fitting.initialization import has_dictionary, most_shape_parameters, starts_from_dictionary
 from torchbrdf.fitting.objective import GaussNewtonObjective
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.quasi_random import quasi_random_starts
@@ -35,9 +35,10 @@ class GlobalSearch:
             left to do.
         same: errors that differ by less belong to the same minimum.
         near_optimal: minima within so much of the best are worth another look.
-        quasi_random: starts all over the bounds of a model that the dictionary does not serve, as one of its lobes is
-            no albedo times a scalar function.
-        first_steps: after which the best of them are chosen.
+        quasi_random: starts all over the bounds of a model that the dictionary serves badly, as one of its lobes has
+            several shape parameters, or not at all, as one is no albedo times a scalar function.
+        first_steps: after which the best of them are chosen; earlier, those that are slow at first are lost.
+        chosen: how many of them, at most, go on.
 
     Example:
         >>> from torchbrdf.fitting import GlobalSearch
@@ -54,7 +55,8 @@ class GlobalSearch:
     same: float = 1e-4
     near_optimal: float = 0.01
     quasi_random: int = 32
-    first_steps: int = 5
+    first_steps: int = 40
+    chosen: int = 12
 
     def __call__(self, task: Task, values: ParameterDict, fit_diffuse: bool) -> Outcome:
         """Fit."""
@@ -64,7 +66,7 @@ class GlobalSearch:
         if not isinstance(objective, GaussNewtonObjective):
             return _by_gradient(task, values, fit_diffuse)
         free = task.all_free(fit_diffuse)
-        outcome = Outcome(values, starts=self.starts + 1)
+        outcome = Outcome(values)
         coarse, smooth = objective.coarse(self.coarse_samples), objective.surrogate()
         widths = coarse.loss.smoothing_widths
 
@@ -75,8 +77,9 @@ class GlobalSearch:
 
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
         candidates = self._starts(task, coarse, values, free, fit_diffuse).joined(objective.material_indices, staged)
+        outcome.starts = int(torch.bincount(candidates.materials).max())
         errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
-        outcome.add(f"{self.starts + 1} starts, {coarse.describe_size()}", *candidates.best(errors))
+        outcome.add(f"{outcome.starts} starts, {coarse.describe_size()}", *candidates.best(errors))
         candidates.prune(errors, self.kept, 1.0)
         last = smooth.ftol if task.full is None else 1e-6
         widths = smooth.loss.smoothing_widths
@@ -98,19 +101,21 @@ class GlobalSearch:
         free: Parametrization,
         fit_diffuse: bool,
     ) -> "_Candidates":
-        """From the dictionary; for a model with a lobe that has no albedo the best of many from all over the bounds."""
-        materials = coarse.material_indices
+        """From the dictionary, and, where it serves the model badly or not, the best from all over the bounds."""
+        materials, by_dictionary = coarse.material_indices, None
         if has_dictionary(task.model):
             found = starts_from_dictionary(
                 task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
             )
-            return _Candidates(materials.repeat(self.starts), found, free, self.same)
+            by_dictionary = _Candidates(materials.repeat(self.starts), found, free, self.same)
+            if most_shape_parameters(task.model) < 2:
+                return by_dictionary
         found = quasi_random_starts(free, values, self.quasi_random)
         candidates = _Candidates(materials.repeat(self.quasi_random), found, free, self.same)
         widths = coarse.loss.smoothing_widths[:1]
         errors = candidates.refine(coarse, max_iterations=self.first_steps, ftol=1e-4, widths=widths)
-        candidates.prune(errors, self.starts, torch.inf)
-        return candidates
+        candidates.prune(errors, self.chosen, torch.inf)
+        return by_dictionary.joined(candidates.materials, candidates.values) if by_dictionary else candidates
 
     def _on_all_samples(
         self, task: Task, full: GaussNewtonObjective, outcome: Outcome, candidates: "_Candidates", errors: Solution

@@ -26,6 +26,12 @@ def has_dictionary(model: Lobe) -> bool:
     return all(lobes[k].albedo_spec() is not None for k in specular_components(model))
 
 
+def most_shape_parameters(model: Lobe) -> int:
+    """How many numbers the shape of one of its lobes has at most: with several, the grid of a dictionary is coarse."""
+    lobes = model.components()
+    return max((sum(not one.affine for one in lobes[k].scalars()) for k in specular_components(model)), default=0)
+
+
 def starts_from_dictionary(
     model: Lobe,
     objective: GaussNewtonObjective,
