@@ -50,7 +50,7 @@ def roughplastic(pairs: Pairs, base_color: Tensor, specular: Tensor, roughness: 
         >>> angle, colour = torch.full((1,), 0.2), torch.tensor([0.1, 0.2, 0.3])
         >>> pairs = Pairs.from_half_diff(angle, angle, angle)
         >>> roughplastic(pairs, colour, *torch.tensor([[1.0], [0.1], [1.5]]))
-        tensor([[0.0000, 0.0000, 0.0000]])
+        tensor([[0.0434, 0.0724, 0.1014]])
     """
     return value_of(RoughPlastic)(pairs, base_color, specular, roughness, ior)
 
