@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from torchbrdf.errors import LONGEST_MESSAGE, LONGEST_WARNING, DataError, UsageError, one_line, shown
@@ -54,6 +54,19 @@ def test_different_names_have_different_files():
     names = ["a:b", "a_b", "a?b", "con", "con.x", "a.", "a"]
     assert len({file_stem(name) for name in names}) == len(names)
     assert file_stem("gold-metallic-paint2") == "gold-metallic-paint2"
+
+
+@given(ANY_TEXT)
+@example("con.x")
+@example("NUL.tar.gz")
+@example("con .x")
+@example("a" * 199 + ":")
+@example(":" + "\u00e9" * 100)
+def test_the_stem_of_a_stem_is_itself(name):
+    """So that nothing is hashed twice on its way to a file; and a device's name is none with a suffix either."""
+    stem = file_stem(name)
+    assert check_name(stem, "stem") == stem == file_stem(stem)
+    assert stem.split(".")[0].strip().lower() not in ("con", "nul", "aux", "prn", "com1", "lpt1")
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,10 @@ def test_no_hint_where_nothing_is_near() -> None:
     assert str(unknown("loss", "xyzzy", ["rms", "log"])) == "unknown loss 'xyzzy'; expected one of log, rms"
 
 
+def test_an_empty_name_is_no_unknown_one() -> None:
+    assert str(unknown("loss", "", ["rms", "log"])) == "loss: expected a name, found ''; expected one of log, rms"
+
+
 def test_a_name_is_registered_once() -> None:
     things: Registry[int] = Registry("thing", "nowhere")
     things.register("one")(1)

@@ -72,10 +72,13 @@ def file_stem(name: str) -> str:
         ('nickel', 'a_b-6783a31e')
     """
     plain = re.sub(r'[<>:"/\\|?*\x00-\x1f]', "_", clean_name(name)).rstrip(". ")
-    reserved = re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", plain)
-    if plain == name and not reserved:
+    # A device is one with any suffix, too.
+    plain = re.sub(r"(?i)^(con|prn|aux|nul|com\d|lpt\d)( *)\.", r"\1\2_", plain)
+    if plain == name and not re.fullmatch(r"(?i)con|prn|aux|nul|com\d|lpt\d", plain):
         return name
-    return f"{plain}-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
+    digits = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    # Short enough for a name, by which the stem of a stem is itself.
+    return f"{clean_name(plain, LONGEST_NAME - 1 - len(digits))}-{digits}" if plain else f"_-{digits}"
 
 
 def is_one_line(text: str) -> bool:

@@ -41,7 +41,8 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
     known = sorted(known)
     near = difflib.get_close_matches(name[:100], known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {shown(name)}; expected one of {', '.join(known)}{hint}")
+    said = f"unknown {kind} {shown(name)}" if name.strip() else f"{kind}: expected a name, found {shown(name)}"
+    return UsageError(f"{said}; expected one of {', '.join(known)}{hint}")
 
 
 class Registry(Mapping[str, T], Generic[T]):

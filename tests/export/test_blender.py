@@ -108,5 +108,5 @@ def test_what_blender_does_not_do_is_done_to_the_inputs(tmp_path: Path) -> None:
     assert found["coat_color"] == pytest.approx([(1 - thrown_back) / (1 - 0.5 * thrown_back)] * 3)
     done = export(coated, "blender", tmp_path)
     assert not done.exact and done.notes == [
-        "Blender's Principled BSDF: as OpenPBR, but its layers are mixed in a way of its own"
+        "Blender's Principled BSDF: as OpenPBR, whose picture is compared, but its layers are mixed in a way of its own"
     ]

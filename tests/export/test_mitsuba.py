@@ -13,7 +13,7 @@ from helpers.mitsuba_pictures import Studio, likeness, mitsuba, obstacle
 from torchbrdf.errors import DataError
 from torchbrdf.export import Exported, export
 from torchbrdf.export.mitsuba import mitsuba_dict
-from torchbrdf.lobes import GGX, Lambert, Principled, RoughConductor, Sum
+from torchbrdf.lobes import GGX, Lambert, Principled, RoughConductor, RoughPlastic, Sum
 from torchbrdf.measured import Measured, load, standins, write_merl
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Camera, Environment, Scene, blob, render, sphere
@@ -31,7 +31,10 @@ BRIGHT = Sum(
     RoughConductor(specular=[0.2, 0.8, 0.4], roughness=0.5, eta=1.2, k=2.0),
 )
 CHALK = Lambert(albedo=[0.8, 0.5, 0.2])
-EXACT = {"diffuse": CHALK, "roughconductor": METAL, "principled": PLASTIC, "blend": BRIGHT}
+COATED = RoughPlastic(base_color=[0.8, 0.3, 0.1], specular=0.9, roughness=0.2, ior=1.6)
+EXACT = {"diffuse": CHALK, "roughconductor": METAL, "principled": PLASTIC, "blend": BRIGHT, "roughplastic": COATED}
+# Mitsuba's shares of light below a coat are by few facets; tests/lobes/test_roughplastic.py.
+TOLERANCES = {"roughplastic": 1.3e-3}
 
 
 @cache
@@ -72,7 +75,7 @@ def test_a_file_gives_the_bsdf(name: str, tmp_path: Path) -> None:
     away = (pairs.theta_h.rad2deg() > 3) & (torch.minimum(wi[:, 2], wo[:, 2]) > 1e-3)
     with torch.no_grad():
         expected = EXACT[name].double()(pairs)
-    torch.testing.assert_close(values(bsdf, wi, wo)[away], expected[away], rtol=1e-4, atol=1e-7)
+    torch.testing.assert_close(values(bsdf, wi, wo)[away], expected[away], rtol=TOLERANCES.get(name, 1e-4), atol=1e-7)
 
 
 @MITSUBA

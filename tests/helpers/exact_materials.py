@@ -6,6 +6,7 @@ Colours are grey here; test_materials.py has those of several channels.
 from collections.abc import Callable
 
 import mpmath
+import numpy as np
 from hypothesis import strategies as st
 from mpmath import mpf
 
@@ -174,10 +175,93 @@ def exact_openpbr(g: Geometry, *values: mpf) -> mpf:
     return cover + (1 - fuzz_weight * fuzz_albedo(viewer, fuzz_roughness)) * material
 
 
+COSINES = np.maximum(np.linspace(0, 1, 64), 1e-6)[:, None, None]
+
+
+def masked(cosine: np.ndarray, alpha: float) -> np.ndarray:
+    """Smith's G1 of GGX."""
+    return 2 * cosine / (cosine + np.sqrt(alpha**2 + (1 - alpha**2) * cosine**2))
+
+
+def facets_of(
+    alpha: float, low: np.ndarray, high: np.ndarray, least: Callable[[np.ndarray], np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cosines to light and normal of facets whose angles from the normal are between low and high, and their weights.
+
+    The rule that the lobe documents, at each of Mitsuba's cosines; least: of the cosine to the light, by the other one.
+    """
+    x, w = np.polynomial.legendre.leggauss(10 if least is None else 12)
+    x, w = (x[:, None] + 1) / 2, w[:, None] / 2
+    if least is not None:
+        x, w = 3 * x**2 - 2 * x**3, 6 * (x - x**2) * w
+    ends = [np.arcsinh(np.arctan2(alpha * np.cos(one), np.sin(one)) / alpha) for one in (high, low)]
+    at = ends[0] + (ends[1] - ends[0]) * x
+    d = alpha * np.sinh(at)
+    w = w * (ends[1] - ends[0]) * alpha * np.cosh(at) * 2 * np.sin(d) * np.cos(d)
+    theta = np.arctan2(alpha * np.cos(d), np.sin(d))
+    sine = np.sqrt((1 - COSINES) * (1 + COSINES))
+    if least is None:
+        turn, part = (np.arange(6) + 0.5) * np.pi / 6, np.full(6, 1 / 6)
+    else:
+        nodes, parts = (half[6:] for half in np.polynomial.legendre.leggauss(12))
+        room = 4 * np.finfo(float).eps
+        end = (least(np.cos(theta)) - COSINES * np.cos(theta)) / (np.maximum(sine, 1e-12) * np.sin(theta))
+        end = np.arccos(np.clip(end, room - 1, 1 - room))
+        turn, part = end * (3 * nodes - nodes**3) / 2, end * 1.5 * (1 - nodes**2) * parts / np.pi
+    cosine = np.clip(sine * np.sin(theta) * np.cos(turn) + COSINES * np.cos(theta), 0, 1)
+    return cosine, np.cos(theta), w * part * masked(COSINES, alpha) / COSINES * cosine / np.cos(theta)
+
+
+def let_through(n: float, outside: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """1 less the mean of both polarizations."""
+    across = (outside - n * inside) / (outside + n * inside)
+    along = (n * outside - inside) / (n * outside + inside)
+    return 1 - (across**2 + along**2) / 2
+
+
+def shares_of_plastic(alpha: float, n: float) -> tuple[np.ndarray, float]:
+    """What the coat lets in at each of Mitsuba's cosines, and out of diffuse light."""
+    angle = np.arctan2(np.sqrt((1 - COSINES) * (1 + COSINES)), COSINES)
+    into, out = 0.0, 1.0
+    right = np.pi / 2 + 0 * angle
+    for c, m, w in (facets_of(alpha, 0 * angle, right - angle), facets_of(alpha, right - angle, right, np.zeros_like)):
+        inside = np.sqrt(1 - (1 - c**2) / n**2)
+        down = (inside - c / n) * m + COSINES / n
+        into = into + (w * let_through(n, c, inside) * masked(down, alpha)).sum((1, 2))
+    critical = np.sqrt(1 - 1 / n**2)
+    first, last, limit = np.pi / 4 - angle / 2, np.pi / 4 + angle / 2, np.arccos(critical)
+    near, far = np.minimum(np.maximum(limit - angle, 0), first), np.minimum(angle + limit, last)
+    start = np.minimum(np.maximum(near, angle - limit), far)
+    back = [facets_of(alpha, 0 * angle, first), facets_of(alpha, first, last, lambda m: COSINES / (2 * m))]
+    left = [
+        facets_of(alpha, 0 * angle, near),
+        facets_of(alpha, start, far, lambda m: np.maximum(COSINES / (2 * m), critical)),
+    ]
+    for sign, seen in ((-1, back), (1, left)):
+        for c, m, w in seen:
+            outside = np.sqrt(np.maximum(1 - n**2 * (1 - c**2), 1e-12))
+            factor = let_through(n, outside, c) if sign > 0 else 1
+            up = np.maximum(2 * c * m - COSINES, 0)
+            out = out + sign * (w * factor * masked(up, alpha)).sum((1, 2))
+    return into, float(2 * (out * COSINES[:, 0, 0]).mean())
+
+
+def exact_roughplastic(g: Geometry, base: mpf, specular: mpf, alpha: mpf, ior: mpf) -> mpf:
+    """Mitsuba's terms; its tables are linear between their cosines."""
+    into, out = shares_of_plastic(float(alpha), float(ior))
+    share = mpf(1)
+    for cosine in (g.n_i, g.n_o):
+        low = min(int(mpmath.floor(63 * cosine)), 62)
+        share *= mix(mpf(into[low]), mpf(into[low + 1]), 63 * cosine - low)
+    main = exact_ggx_distribution(g, alpha) * separable(g, alpha) * exact_dielectric(g.o_h, ior)
+    return specular * main + base * share / (mpmath.pi * ior**2 * out)
+
+
 rough, ior = decades(0.032, 1), st.floats(1.05, 3)
 
 MATERIALS: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "principled": (exact_principled, [shares, unit, rough, st.floats(0.05, 1), *[unit] * 6]),
+    "roughplastic": (exact_roughplastic, [shares, unit, decades(0.001, 1), st.floats(1.05, 3)]),
     "gltf": (exact_gltf, [shares, unit, rough, unit, unit, ior, unit, rough, unit, st.floats(0.1, 1)]),
     "openpbr": (
         exact_openpbr,

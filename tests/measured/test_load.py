@@ -91,7 +91,7 @@ def test_one_bad_file_among_many_is_reported_and_the_others_are_done(folder):
         (lambda path: path.write_bytes(b"tensor_file\0\x02\0"), r"x: truncated: the file ends inside its table"),
         (
             lambda path: path.write_bytes(b"tensor_file\0\x02\0\0\0\0\0"),
-            r"x: expected b'tensor_file.*version 1\.0, .* 2\.0",
+            r"x: expected an RGL file, b'tensor_file.*version 1\.0, .* 2\.0",
         ),
     ],
 )

@@ -329,3 +329,11 @@ def test_changed_files_are_refused_or_sound(tmp_path: Path, caplog: pytest.LogCa
         assert np.isfinite(mesh.vertices).all() and np.allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-6)
         assert len(np.unique(mesh.faces)) == len(mesh.vertices)
     assert 10 < accepted < 140
+
+
+def test_an_obj_without_faces_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What was ignored is part of the error, and not said before it."""
+    (tmp_path / "broken.obj").write_text("not a mesh\n")
+    with pytest.raises(DataError, match=r"found no faces, but 1 lines that are no OBJ statements, the first of .* 1$"):
+        find_mesh(str(tmp_path / "broken.obj"))
+    assert not caplog.records

@@ -8,7 +8,7 @@ from typing import Literal
 from torchbrdf.experiment.labels import diffuse_label, loss_label, model_label
 from torchbrdf.measured import Measured, StandIn
 from torchbrdf.measured.load import number_repeats
-from torchbrdf.names import clean_name, file_stem
+from torchbrdf.names import LONGEST_NAME, clean_name, file_stem
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ def distinct_stems(names: Sequence[str], reserved: Sequence[str] = ()) -> list[s
         number, stem = 1, plain
         while same_file(stem) in taken:
             number += 1
-            stem = f"{plain}-{number}"
+            end = f"-{number}"
+            stem = clean_name(plain, LONGEST_NAME - len(end)) + end
         taken.add(same_file(stem))
         made.append(stem)
     return made

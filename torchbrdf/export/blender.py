@@ -104,7 +104,7 @@ BLENDER = Target(
     limits=SOCKETS,
     model="openpbr",
     translated=lambda lobe: sockets(inputs_for_blender(lobe)),
-    differs="as OpenPBR, but its layers are mixed in a way of its own",
+    differs="as OpenPBR, whose picture is compared, but its layers are mixed in a way of its own",
     simple={
         "lambert": _diffuse,
         "ggx": lambda lobe: _metal(ggx(lobe)),

@@ -33,12 +33,19 @@ LEAST_WEIGHT = 0.001
 
 # Parameters of Mitsuba's plugins that have other names here.
 NAMES = {"albedo": "reflectance", "roughness": "alpha", "specular": "specular_reflectance"}
+# Colours of Mitsuba's that are one number here.
+GREY = ("specular_reflectance",)
 # The lobes that Mitsuba has in the same form, by their registered names: a plugin with settings, its parameter that
 # scales it, if there is one, and how its other parameters are called.
 PLUGINS: dict[str, tuple[Bsdf, str | None, dict[str, str]]] = {
     "lambert": ({"type": "diffuse"}, "albedo", NAMES),
     "roughconductor": ({"type": "roughconductor", "distribution": "ggx"}, "specular", NAMES),
     "principled": ({"type": "principled"}, None, {}),
+    "roughplastic": (
+        {"type": "roughplastic", "distribution": "ggx", "ext_ior": 1.0},
+        None,
+        {**NAMES, "base_color": "diffuse_reflectance", "ior": "int_ior"},
+    ),
 }
 
 
@@ -106,7 +113,8 @@ def _plugin(lobe: Lobe, factor: float) -> Bsdf:
     for own in lobe.parameter_specs:
         value: Tensor = getattr(lobe, own).detach().double() * (factor if own == scale else 1.0)
         found = numbers(value)
-        made[names.get(own, own)] = found[0] if len(found) == 1 else _color(found)
+        name = names.get(own, own)
+        made[name] = _color(found * (3 // len(found))) if len(found) == 3 or name in GREY else found[0]
     return made
 
 

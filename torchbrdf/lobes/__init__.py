@@ -37,6 +37,7 @@ from torchbrdf.lobes.roughness import (
     exponent_to_alpha,
     roughness_to_alpha,
 )
+from torchbrdf.lobes.roughplastic import RoughPlastic, roughplastic
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
@@ -74,6 +75,7 @@ __all__ = [
     "OutsideBoundsWarning",
     "Principled",
     "RoughConductor",
+    "RoughPlastic",
     "RoughnessConvention",
     "ShiftedGamma",
     "StudentT",
@@ -118,6 +120,7 @@ __all__ = [
     "read_fits",
     "roughconductor",
     "roughness_to_alpha",
+    "roughplastic",
     "schlick",
     "shifted_gamma",
     "student_t",

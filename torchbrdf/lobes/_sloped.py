@@ -84,6 +84,8 @@ class Sloped:
 
 Value = TypeVar("Value", Tensor, Sloped)
 """Formulas are the same of tensors, which torch may differentiate and compile, and of numbers with slopes."""
+Mixed = Any
+"""A tensor or a `Sloped`, of formulas in which both come together."""
 
 
 def _total(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -107,14 +109,39 @@ def root(x: Value) -> Value:
     return chain(x, value, lambda: torch.where(value > 0, 0.5 / value, 0))
 
 
-def larger(x: Value, y: Value) -> Value:
+def of_two(x: Mixed, y: Mixed, value: Tensor, by_x: Callable[[], Tensor], by_y: Callable[[], Tensor]) -> Mixed:
+    """A function of x and y that has this value, and these derivatives."""
+    if not isinstance(x, Sloped) and not isinstance(y, Sloped):
+        return value
+    slopes = [_sloped(one).chain(value, steep).slopes for one, steep in ((x, by_x), (y, by_y))]
+    return Sloped(value, _total(*slopes))
+
+
+def linear(x: Value, function: Callable[[Tensor], Tensor]) -> Value:
+    """A linear function of all of its numbers, such as a sum over a dimension."""
+    if not isinstance(x, Sloped):
+        return function(x)
+    return Sloped(function(x.value), {name: function(slope.expand_as(x.value)) for name, slope in x.slopes.items()})
+
+
+def larger(x: Mixed, y: Mixed) -> Mixed:
     """The larger of both."""
-    if not isinstance(x, Sloped) or not isinstance(y, Sloped):
+    if not isinstance(x, Sloped) and not isinstance(y, Sloped):
         return torch.maximum(x, y)
-    first = x.value > y.value
-    own = {name: torch.where(first, slope, 0) for name, slope in x.slopes.items()}
-    others = {name: torch.where(first, 0, slope) for name, slope in y.slopes.items()}
-    return Sloped(torch.where(first, x.value, y.value), _total(own, others))
+    one, other = _sloped(x), _sloped(y)
+    first = one.value > other.value
+    own = {name: torch.where(first, slope, 0) for name, slope in one.slopes.items()}
+    others = {name: torch.where(first, 0, slope) for name, slope in other.slopes.items()}
+    return Sloped(torch.where(first, one.value, other.value), _total(own, others))
+
+
+def smaller(x: Mixed, y: Mixed) -> Mixed:
+    """The smaller of both."""
+    return -larger(-x, -y)
+
+
+def _sloped(x: Tensor | Sloped) -> Sloped:
+    return x if isinstance(x, Sloped) else Sloped(x)
 
 
 def facets(pairs: Pairs, alpha: Value, visibility: Visibility) -> Value:

@@ -59,7 +59,8 @@ class TensorFile:
 
         magic, major, minor, count = take("12sBBI")
         if magic != MAGIC or (major, minor) != (1, 0):
-            raise DataError(f"{self.path}: expected {MAGIC!r} version 1.0, found {magic!r} version {major}.{minor}")
+            found = f"{magic!r} version {major}.{minor}"
+            raise DataError(f"{self.path}: expected an RGL file, {MAGIC!r} version 1.0, found {found}")
         fields: dict[str, Field] = {}
         for _ in range(count):
             (length,) = take("H")

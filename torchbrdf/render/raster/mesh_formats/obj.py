@@ -74,12 +74,15 @@ class _Reader:
 
     def parts(self, path: Path, say: Say) -> list[Part]:
         """What the whole file holds."""
+        odd = ""
         if self.odd:
-            say(f"ignored {len(self.odd)} lines that are no OBJ statements, the first of them line {self.odd[0]}")
+            odd = f"{len(self.odd)} lines that are no OBJ statements, the first of them line {self.odd[0]}"
+        if not self.polygons or not self.corners:
+            raise DataError(f"{path}: expected a mesh of triangles, found no faces" + (f", but {odd}" if odd else ""))
+        if odd:
+            say(f"ignored {odd}")
         if self.others:
             say(f"left out {self.others.total()} statements that are no faces ({', '.join(sorted(self.others))})")
-        if not self.polygons or not self.corners:
-            return []
         place, normal = np.array(list(self.corners), np.int64).T
         check_indices(path, place, len(self.places))
         check_indices(path, normal[normal >= 0], len(self.directions), "normal")
