@@ -108,7 +108,7 @@ def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, mon
 
 def test_unknown_words(tmp_path):
     for options, said in (
-        ({"target": "povray"}, "unknown exporter 'povray'"),
+        ({"target": "povray"}, "unknown target 'povray'"),
         ({"budget": "much"}, "budget: expected quick, default, thorough or a number of seconds, found 'much'"),
     ):
         with pytest.raises(UsageError, match=re.escape(said)):
@@ -145,7 +145,8 @@ def test_a_file_that_reaches_60_degrees_is_said_to(small_command, tmp_path, caps
     raw[:, np.minimum(high - across, high + across) < 0.5] = -1.0
     short = write_raw_merl(tmp_path / "short.binary", raw)
     assert small_command(short) == 0
-    assert "  measured to 60 degrees only; beyond, the nearest measured values stand in" in capsys.readouterr().out
+    said = "the measurement was measured only to 60 degrees from the normal; beyond, the nearest values stand in"
+    assert f"  ! {said}" in capsys.readouterr().out.splitlines()
 
 
 def test_a_folder_that_cannot_be_written(small_command, merl_file, tmp_path, capsys):
