@@ -146,7 +146,11 @@ def test_losses_of_values_see_all_directions(nickel, tmp_path):
     pictures = training_loss(8, 1)
     table, values, both = nickel, CompressedLoss(), find_loss("compressed+rendered", pictures)
     assert [seen_by(loss, table) is table for loss in (values, pictures, both)] == [True, True, False]
-    assert [seen_by(loss, load(path)).source.format for loss in (values, pictures, both)] == ["samples", "rgl", "samples"]
+    assert [seen_by(loss, load(path)).source.format for loss in (values, pictures, both)] == [
+        "samples",
+        "rgl",
+        "samples",
+    ]
 
 
 def test_losses_by_their_names():
