@@ -68,6 +68,10 @@ def derived(name: str, known: Mapping[str, Tensor], get: Callable[[str], Tensor]
         return phi_d(get("wi"), get("wo"))
     if name in ("wi", "wo") and "phi_d" in known:
         wi, wo = directions(get("theta_h"), get("theta_d"), get("phi_d"))
+        if "cos_i" in known:
+            # phi_d is folded into half a turn: which of both is the light's, the cosine says.
+            exchanged = (wo[..., 2] - known["cos_i"]).abs() < (wi[..., 2] - known["cos_i"]).abs()
+            wi, wo = torch.where(exchanged[..., None], wo, wi), torch.where(exchanged[..., None], wi, wo)
         return wi if name == "wi" else wo
     raise ShapeError(f"Pairs: {name} is needed, but only {', '.join(sorted(known))} were given")
 

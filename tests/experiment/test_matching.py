@@ -1,6 +1,6 @@
 """Matching: the choice among fits, what is kept in a folder, and where a match is said to be bad."""
 
-import math
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -10,12 +10,14 @@ from helpers.measured_files import synthetic_bsdf, tensor_file
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment import matching
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, Figures, Judge, Tried, find_budget, find_matches
-from torchbrdf.experiment.matching.search import ranked, reach
+from torchbrdf.experiment.matching.search import ranked
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
-from torchbrdf.experiment.matching.training import evenly
+from torchbrdf.experiment.matching.training import evenly, find_loss, seen_by, training_loss
 from torchbrdf.lobes import FitRecord, Lambert, Sum, read_fits
+from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
+from torchbrdf.perception import uniform_pairs
 from torchbrdf.render import Scene, sphere
 
 TINY = Budget("tiny", (Candidate("ggx", 1), Candidate("ward", 1)), None, size=8, views=1, all_of_them=True)
@@ -122,14 +124,6 @@ def test_a_target_with_a_model_of_its_own_gets_that(monkeypatch):
     assert matching.candidates_for("mtlx", TINY) == TINY.candidates
 
 
-@pytest.mark.parametrize("degrees", [60.0, 90.0])
-def test_reach(degrees):
-    pairs = load(standins()).batch([6], torch.arange(0, 900_000, 50)).pairs
-    low = torch.minimum(pairs.cos_i, pairs.cos_o) > math.cos(math.radians(degrees))
-    one = Measured.from_samples(pairs, torch.ones(1, len(pairs), 3), low[..., None], ["flat"])
-    assert reach(one) == degrees
-
-
 def test_where_a_match_is_bad(scenes):
     record = read_fits(standins())[6]
     judge = Judge(load(standins()).batch([6]), scenes)
@@ -146,4 +140,33 @@ def test_losses_of_values_see_all_directions(nickel, tmp_path):
     found = evenly(load(path))
     assert found.names == ["made-up"] and found.values.shape == (1, 20_000, 3)
     torch.testing.assert_close(found.values, load(path).at(found.pairs))
-    assert nickel.on_merl_bins and evenly(nickel) is nickel
+    again = pickle.loads(pickle.dumps(found))
+    others = uniform_pairs(50).to(dtype=torch.float32)
+    torch.testing.assert_close(again.at(others), load(path).at(others.unsqueeze()))
+    pictures = training_loss(8, 1)
+    table, values, both = nickel, CompressedLoss(), find_loss("compressed+rendered", pictures)
+    assert [seen_by(loss, table) is table for loss in (values, pictures, both)] == [True, True, False]
+    assert [seen_by(loss, load(path)).source.format for loss in (values, pictures, both)] == [
+        "samples",
+        "rgl",
+        "samples",
+    ]
+
+
+def test_losses_by_their_names():
+    pictures = training_loss(8, 1)
+    assert find_loss("rendered", pictures) is pictures
+    assert find_loss("log", pictures).registered_name == "log"
+    assert find_loss("log+rendered", pictures).registered_name == "log+rendered_delta_e76"
+    assert {name for one in BUDGETS["default"].candidates for name in one.losses(BUDGETS["default"])} == {
+        "learned", "rendered", "compressed", "log", "compressed+rendered",
+    }  # fmt: skip
+
+
+def test_fits_under_both_are_found_again(tmp_path, nickel, scenes, monkeypatch):
+    budget = replace(TINY, candidates=(Candidate("distribution_based", 1, ("compressed", "compressed+rendered")),))
+    (first,) = find_matches([nickel], "mitsuba", budget, out=tmp_path, scenes=scenes)
+    assert [one.record.loss for one in first.tried] == ["compressed", "compressed+rendered_delta_e76"]
+    monkeypatch.setattr("torchbrdf.fitting.batches.fit", None)
+    (again,) = find_matches([nickel], "mitsuba", budget, out=tmp_path, scenes=scenes)
+    assert [one.record for one in again.tried] == [one.record for one in first.tried]

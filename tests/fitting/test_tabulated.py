@@ -8,12 +8,14 @@ import torch
 from torchbrdf import Pairs, fit
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting import Status, TabulatedFit
+from torchbrdf.fitting.tabulated_picture import PictureProblem
 from torchbrdf.fitting.tabulated_problem import TabulatedProblem
 from torchbrdf.fitting.tabulated_variables import Falling, decoded, encoded
 from torchbrdf.lobes import DistributionBased, Lambert, Sum, Ward, from_parameters, make_model, model_of, read_fits
 from torchbrdf.lobes.parameter_dict import get_parameters, with_parameters
-from torchbrdf.losses import CompressedLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
-from torchbrdf.measured import Measured
+from torchbrdf.losses import CombinedLoss, CompressedLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
+from torchbrdf.measured import Measured, load, standins
+from torchbrdf.render import RenderedLoss, Scene, sphere
 
 NODES = ((torch.arange(90, dtype=torch.float64) + 0.5) / 90).square() * (math.pi / 2)
 COLOUR = torch.tensor([1.0, 0.8, 0.5], dtype=torch.float64)
@@ -201,3 +203,44 @@ def test_bad_materials_leave_the_others_be():
     alone = fit(model, measured.batch([0]), CompressedLoss(), samples=None, max_theta=90)
     torch.testing.assert_close(result.error[:1], alone.error, rtol=1e-6, atol=0)
     assert fit(model, measured, CompressedLoss(), max_theta=1e-3).status == [Status.NO_DATA] * 5
+
+
+def seen_by_a_picture(loss, count=400):
+    """A small measured surface that has values everywhere, and the problem of a metric and a picture of it."""
+    measured = load(standins()).batch([6]).to(dtype=torch.float64)
+    measured = measured.batch(samples=torch.arange(0, 900_000, 900_000 // count))
+    picture = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=8))
+    return measured, CombinedLoss(loss, picture, 1 / 50)
+
+
+@pytest.mark.parametrize("loss", [CompressedLoss(), LogLoss()])
+def test_a_picture_beside_a_metric_has_the_slope_that_it_says(loss):
+    measured, both = seen_by_a_picture(loss)
+    model = make_model("distribution_based", 2).batched(1).double()
+    values, parts = get_parameters(model), both.parts(both.problem(measured))
+    metric = TabulatedProblem(model, values, parts.measured, loss, fit_diffuse=True, smooth=1e-6)
+    problem = PictureProblem(metric, parts.seen, both)
+    x = encoded(metric, values).unflatten(0, (-1, 3)).flatten(1)
+    value, gradient, matrix = problem.quadratic_model(x, torch.arange(1))
+    assert matrix.shape == (1, 3 * metric.size, 3 * metric.size) and torch.allclose(matrix, matrix.mT)
+    assert torch.linalg.eigvalsh((matrix + matrix.mT) / 2).min() > -1e-6 * matrix.abs().max()
+    # What is added for smooth tables is little; the rest is the loss.
+    found = with_parameters(model, decoded(metric, x.unflatten(1, (3, -1)).flatten(0, 1), values))
+    error = both.error(found(both.problem(measured).pairs), both.problem(measured).target, both.problem(measured).pairs)
+    assert value * problem.scale == pytest.approx(error.item(), rel=1e-3)
+    step = torch.randn(1, x.shape[1], dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 1e-4
+    ahead, behind = (problem.quadratic_model(x + sign * step, torch.arange(1))[0] for sign in (1, -1))
+    assert (gradient * step).sum().item() == pytest.approx((ahead - behind).item() / 2, rel=1e-2)
+
+
+def test_a_picture_beside_a_metric_is_come_nearer():
+    measured, both = seen_by_a_picture(CompressedLoss(), count=3000)
+    one, other = (fit(make_model("distribution_based", 1), measured, loss, samples=None) for loss in (both.loss, both))
+    assert other.loss == "compressed+rendered_delta_e76" and other.status[0] in (
+        Status.CONVERGED,
+        Status.MAX_ITERATIONS,
+    )
+    problem = both.problem(measured.within(80))
+    before, after = (both.error(own.model(problem.pairs), problem.target, problem.pairs) for own in (one, other))
+    assert after < 0.9 * before
+    assert other.error.item() == pytest.approx(after.item(), rel=1e-4)

@@ -215,6 +215,16 @@ def test_zero_below_the_horizon_and_bounded_at_it(synthetic_file):
     assert measured.at(Pairs.from_directions(wi, edge)).abs().max() < 1e3
 
 
+def test_pairs_whose_azimuth_is_folded_to_half_a_turn(synthetic_file):
+    """As scenes have them: their cosines alone say which direction is the light's."""
+    measured = load(synthetic_file)
+    pairs = Pairs.from_directions(hemisphere(1, 500), hemisphere(1, 500, seed=1))
+    names = ("theta_h", "theta_d", "cos_h", "cos_d", "cos_i", "cos_o", "tan2_h")
+    folded = Pairs(phi_d=pairs.phi_d % math.pi, **{name: getattr(pairs, name) for name in names})
+    assert ((folded.wi - pairs.wi)[..., 2].abs() > 0.1).double().mean() > 0.2
+    torch.testing.assert_close(measured.at(folded), measured.at(pairs), rtol=1e-6, atol=1e-9)
+
+
 BAD = {
     "phi_i has two": ({"phi_i": np.zeros(3, "f4")}, r"expected an isotropic material"),
     "only spectra": ({"rgb": None, "spectra": np.zeros(3, "f4")}, r"found 'spectra'; take the database's _rgb file"),

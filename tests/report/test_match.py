@@ -1,5 +1,6 @@
 """`match`: what it writes, what its page shows, and what it says of bad input."""
 
+import dataclasses
 import json
 import re
 from xml.etree import ElementTree
@@ -10,7 +11,7 @@ from helpers.measured_files import merl_centres, synthetic_raw, write_raw_merl
 
 import torchbrdf
 from torchbrdf.cli import main
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, candidates
 from torchbrdf.measured import load, standins
 from torchbrdf.render import Scene, sphere
@@ -81,6 +82,58 @@ def test_the_page_shows_each_match_beside_its_measurement(written):
     assert page.count('class="chosen"') == 2
 
 
+def test_a_folder_keeps_what_other_matches_left(written, scenes):
+    out, _ = written
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in (".xml", ".bsdf")}
+    (third,) = torchbrdf.match(load(standins()).batch([5]), "brdf", out, budget=TINY, scenes=scenes)
+    entries = json.loads((out / "match.json").read_text(encoding="utf-8"))
+    assert [(entry["material"], entry["target"]) for entry in entries] == [
+        ("nickel", "mitsuba"), ("nylon", "mitsuba"), ("light-red-paint", "brdf"),
+    ]  # fmt: skip
+    page = (out / "match.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+    assert len(data) == 3 and page.count("<section") == 3 and third.sentence in page
+    assert "<h2>nickel for mitsuba</h2>" in page
+    assert {name: (out / name).read_bytes() for name in before} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere.binary"], "nowhere.binary"),
+        (["bad.bsdf"], "bad.bsdf"),
+        (["--for", "unreal"], "unknown target 'unreal'"),
+        (["--budget", "much"], "budget"),
+    ],
+)
+def test_what_is_refused_leaves_no_folder(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.bsdf").write_bytes(b"nothing")
+    words = words if not words[0].startswith("--") else ["bad.bsdf", *words]
+    assert main(["match", *words, "--out", "new/folder"]) != 0
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.bsdf"]
+
+
+def test_a_list_that_is_none_is_said_before_the_work(tmp_path):
+    (tmp_path / "match.json").write_text('[{"material": 3}]', encoding="utf-8")
+    with pytest.raises(DataError, match=r"match\.json: expected a list of matches, from match, found"):
+        torchbrdf.match(load(standins()).batch([6]), out=tmp_path, budget=TINY)
+    assert [path.name for path in tmp_path.iterdir()] == ["match.json"]
+
+
+def test_what_no_surface_does_is_said(written, scenes, monkeypatch):
+    out, _ = written
+    bright = load(standins()).batch([6])
+    found = module.check(bright)[0]
+    monkeypatch.setattr(module, "check", lambda _brdf: [dataclasses.replace(found, below_zero=0.5, lowest=-2.0)])
+    (one,) = torchbrdf.match(bright, "mitsuba", out, budget=TINY, scenes=scenes)
+    line = "has a channel below 0 at 50 % of directions, down to -2 / sr"
+    assert one.warnings == [f"the measurement {line}", f"the match {line}"]
+    assert one.warnings[0] in (out / "match.html").read_text(encoding="utf-8")
+    assert json.loads((out / "match.json").read_text(encoding="utf-8"))[0]["warnings"] == one.warnings
+
+
 def test_without_a_folder_nothing_is_written(scenes, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (found,) = torchbrdf.match(load(standins()).batch([6]), budget=TINY, scenes=scenes)
@@ -108,7 +161,7 @@ def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, mon
 
 def test_unknown_words(tmp_path):
     for options, said in (
-        ({"target": "povray"}, "unknown exporter 'povray'"),
+        ({"target": "povray"}, "unknown target 'povray'"),
         ({"budget": "much"}, "budget: expected quick, default, thorough or a number of seconds, found 'much'"),
     ):
         with pytest.raises(UsageError, match=re.escape(said)):
@@ -145,7 +198,8 @@ def test_a_file_that_reaches_60_degrees_is_said_to(small_command, tmp_path, caps
     raw[:, np.minimum(high - across, high + across) < 0.5] = -1.0
     short = write_raw_merl(tmp_path / "short.binary", raw)
     assert small_command(short) == 0
-    assert "  measured to 60 degrees only; beyond, the nearest measured values stand in" in capsys.readouterr().out
+    said = "the measurement was measured only to 60 degrees from the normal; beyond, the nearest values stand in"
+    assert f"  ! {said}" in capsys.readouterr().out.splitlines()
 
 
 def test_a_folder_that_cannot_be_written(small_command, merl_file, tmp_path, capsys):

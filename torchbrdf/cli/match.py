@@ -53,7 +53,8 @@ def command(options: Options) -> int:
         say(f"torchbrdf: left out: {error}", to=sys.stderr)
     for one in found:
         say(one.sentence)
-        say(*(f"  {note}" for note in one.notes), *(f"  {path}" for path in one.files))
+        say(*(f"  ! {line}" for line in one.warnings), *(f"  {note}" for note in one.notes))
+        say(*(f"  {path}" for path in one.files))
     if found and options.out:
         from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Losses of what is observed of a BRDF's values: a linear function of them, such as a picture."""
 
+from typing import TYPE_CHECKING
+
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
@@ -7,6 +9,9 @@ from torchbrdf.losses.base import Loss
 from torchbrdf.losses.problem import Problem
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import without_autocast
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Values (m,), gradients (m, P, 3), and positive semi-definite matrices (m, P, 3, 3) that make up a parabola.
 QuadraticModel = tuple[Tensor, Tensor, Tensor]
@@ -41,6 +46,10 @@ class ImageLoss(Loss):
     def observe_basis(self, responses: Tensor) -> Tensor:
         """What each channel observes of scalar functions `(K, N)`, `(K, 3, P)`."""
         raise NotImplementedError(f"{type(self).__name__}: expected a method observe_basis, found none")
+
+    def observation_matrices(self) -> "list[sparse.csr_matrix] | None":
+        """The linear function as a sparse matrix for each channel, `(P, N)`; None where it is not kept as that."""
+        return None
 
     def compare(self, observed: Tensor, target: Tensor) -> Tensor:
         """What a fit minimises, `(M,)`, at least 0, 0 for equal observations; differentiable. float64."""

@@ -11,12 +11,15 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.tables import measured_up_to
 from torchbrdf.pairs import Pairs
 
 ANGLES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 83.0, 86.0, 88.0)
 """Of the light, degrees from the normal."""
 RELIABLE = 80.0
 """Farther from the normal than so many degrees, measurements are seldom trusted (MERL's, by its authors)."""
+FAR_ENOUGH = 75.0
+"""What is measured less far from the normal than this is said to be, in degrees: pictures show what stands in."""
 # Half vectors: rings about the normal, denser towards it by the third power, times directions around.
 RINGS, AROUND = 192, 96
 POWER = 3
@@ -38,7 +41,7 @@ class Plausibility:
         lowest: the lowest value at random directions, 1/sr.
         below_zero: the share of random directions with a value below 0.
         invalid: the share of samples within 80 degrees that are not valid in the file; 0 of a model.
-        reach: the largest angle from the normal, in degrees, at which both directions of a valid sample are.
+        reach: the angle from the normal, in degrees, up to which both directions were measured; 90 of a model.
     """
 
     name: str
@@ -83,8 +86,10 @@ class Plausibility:
             found.append(
                 f"has a channel below 0 at {100 * self.below_zero:.2g} % of directions, down to {self.lowest:.2g} / sr"
             )
-        if self.reach < RELIABLE:
-            found.append(f"was measured only to {self.reach:.0f} degrees from the normal")
+        if self.reach < FAR_ENOUGH:
+            found.append(
+                f"was measured only to {self.reach:.0f} degrees from the normal; beyond, the nearest values stand in"
+            )
         if self.invalid > 0.01:
             found.append(f"has no valid value in {100 * self.invalid:.2g} % of samples within {RELIABLE:g} degrees")
         return found
@@ -155,7 +160,7 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
     weight = (wi[:, 2] * wo[:, 2])[:, None]
     apart = ((there - back) * weight).square().mean((1, 2)) / (there * weight).square().mean((1, 2)).clamp_min(1e-300)
     names = brdf.names if isinstance(brdf, Measured) else ["model"] if len(albedo) == 1 else _numbered(len(albedo))
-    invalid, reach = _coverage(brdf, len(albedo))
+    each = [brdf.batch([m]) if isinstance(brdf, Measured) else brdf for m in range(len(albedo))]
     return [
         Plausibility(
             name,
@@ -164,10 +169,10 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
             apart[m].sqrt().item(),
             there[m].amin().item(),
             (there[m] < 0).any(-1).double().mean().item(),
-            invalid[m],
-            reach[m],
+            _invalid(own) if isinstance(own, Measured) else 0.0,
+            measured_up_to(own),
         )
-        for m, name in enumerate(names)
+        for m, (name, own) in enumerate(zip(names, each, strict=True))
     ]
 
 
@@ -208,21 +213,12 @@ def _random_directions(seed: int) -> tuple[Tensor, Tensor]:
     return wi, wo
 
 
-def _coverage(brdf: Lobe | Measured, materials: int) -> tuple[list[float], list[float]]:
-    """Of each material the share of samples within 80 degrees that are not valid, and how far any valid one reaches."""
-    if not isinstance(brdf, Measured):
-        return [0.0] * materials, [90.0] * materials
-    invalid, reach = [], []
-    lowest = math.cos(math.radians(RELIABLE))
-    for k in range(len(brdf)):
-        own = brdf.batch([k])
-        valid = own.weight[0, :, 0] > 0
-        slant = torch.minimum(own.pairs.cos_i, own.pairs.cos_o)[0]
-        within = slant >= lowest
-        invalid.append(1 - valid[within].double().mean().item() if within.any() else 1.0)
-        least = slant[valid].amin().clamp(0, 1).item() if valid.any() else 1.0
-        reach.append(math.degrees(math.acos(least)))
-    return invalid, reach
+def _invalid(material: Measured) -> float:
+    """The share of samples within 80 degrees that are not valid; 1 where there is none at all."""
+    slant = torch.minimum(material.pairs.cos_i, material.pairs.cos_o)[0]
+    within = slant >= math.cos(math.radians(RELIABLE))
+    valid = material.weight[0, :, 0] > 0
+    return 1 - valid[within].double().mean().item() if within.any() else 1.0
 
 
 def _numbered(count: int) -> list[str]:

@@ -178,8 +178,8 @@ class Rgl(BrdfFormat):
             for row, material in enumerate(materials):
                 if row < pairs.shape[0]:
                     own = chunk.select([row])
-                    above, cos_o = own.above_horizon[0], own.cos_o[0]
-                    theta_i, x, y = _coordinates(own)
+                    above, wi, wo = own.above_horizon[0], own.wi[0], own.wo[0]
+                    cos_o, (theta_i, x, y) = wo[:, 2], _coordinates(wi, wo, own.theta_h[0])
                 file = self._files[material]
                 cells, table = self._tables(material, pairs.dtype, pairs.device)
                 place = _fractional(file.theta.to(theta_i), theta_i)
@@ -220,15 +220,14 @@ class Rgl(BrdfFormat):
         }
 
 
-def _coordinates(pairs: Pairs) -> tuple[Tensor, Tensor, Tensor]:
-    """theta_i and the unit coordinates of the half vector, `(N,)` each, of `(1, N)` pairs."""
-    wi, wo = pairs.wi[0], pairs.wo[0]
+def _coordinates(wi: Tensor, wo: Tensor, theta_h: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """theta_i and the unit coordinates of the half vector, `(N,)` each."""
     radius = (wi[:, 0].square() + wi[:, 1].square()).sqrt()
     theta_i = torch.atan2(radius, wi[:, 2])
     ix, iy = torch.where(radius > 0, wi[:, 0], 1), wi[:, 1]
     hx, hy = wi[:, 0] + wo[:, 0], wi[:, 1] + wo[:, 1]
     phi = torch.atan2(ix * hy - iy * hx, ix * hx + iy * hy)
-    return theta_i, theta_to_unit(pairs.theta_h[0]), (phi + math.pi) / (2 * math.pi)
+    return theta_i, theta_to_unit(theta_h), (phi + math.pi) / (2 * math.pi)
 
 
 def theta_to_unit(theta: Tensor) -> Tensor:

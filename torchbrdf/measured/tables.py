@@ -1,7 +1,5 @@
 """Any BRDF, fitted or measured, at the places that a table has."""
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -12,6 +10,11 @@ from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
 
 Brdf = Lobe | Measured
+
+RING = 5.0
+"""Degrees over which it is asked whether most samples are valid."""
+SEEN = 100_000
+"""Samples of a material, about, that are looked at for how far it was measured."""
 
 
 @torch.no_grad()
@@ -55,12 +58,39 @@ def check_single(brdf: Brdf) -> None:
 def measured_up_to(brdf: Brdf) -> float:
     """The angle from the normal, in degrees, up to which both directions of a BRDF were measured; 90 of a lobe.
 
+    Up to it most samples are valid, so that a few beyond do not count; and beyond, there is none with such an
+    incident, or such an outgoing, direction.
+
     Args:
         brdf: A lobe, or one measured material.
+
+    Returns:
+        The angle; 0 without any valid sample.
+
+    Example:
+        >>> from torchbrdf.measured import load, standins
+        >>> round(measured_up_to(load(standins()).batch([6])))
+        90
     """
-    if not isinstance(brdf, Measured) or brdf.stand_in:
+    if not isinstance(brdf, Measured):
         return 90.0
-    valid = brdf.weight[0, :, 0] > 0
-    pairs = brdf.pairs.select([0])
-    lowest = [float(cosine[0][valid].min()) for cosine in (pairs.cos_i, pairs.cos_o)]
-    return math.degrees(math.acos(min(max(lowest), 1.0)))
+    count = len(brdf.pairs)
+    some = brdf.batch(samples=torch.arange(0, count, max(count // SEEN, 1), dtype=torch.int64, device="cpu"))
+    pairs, valid = some.pairs.select([0]), some.weight[0, :, 0] > 0
+    above = pairs.above_horizon[0]
+    valid = valid & above
+    if not valid.any():
+        return 0.0
+    theta_i, theta_o = (angle_from_normal(cosine[0]) for cosine in (pairs.cos_i, pairs.cos_o))
+    farther = torch.maximum(theta_i, theta_o)
+    ring = (farther / RING).long().clamp_max(int(90 / RING) - 1)
+    known, every = (torch.bincount(ring[own], minlength=int(90 / RING)) for own in (valid, above))
+    mostly = valid & (2 * known >= every)[ring]
+    last = farther[mostly].max() if mostly.any() else torch.zeros_like(farther[0])
+    return float(torch.stack([last, theta_i[valid].max(), theta_o[valid].max()]).min())
+
+
+def angle_from_normal(cosine: Tensor) -> Tensor:
+    """Degrees of the angle with a cosine."""
+    cosine = cosine.clamp(0, 1)
+    return torch.rad2deg(torch.atan2((1 - cosine.square()).sqrt(), cosine))

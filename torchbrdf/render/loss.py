@@ -3,6 +3,7 @@
 from typing import Any
 
 import torch
+from scipy import sparse
 from torch import Tensor
 
 from torchbrdf.color import luminance
@@ -144,6 +145,10 @@ class RenderedLoss(ImageLoss):
     def observe_basis(self, responses: Tensor) -> Tensor:
         """Pictures of scalar functions as each channel of the light shows them."""
         return self._on(responses).columns(responses)
+
+    def observation_matrices(self) -> list[sparse.csr_matrix] | None:
+        """The transport's, if it is kept in memory."""
+        return self.transport.matrices() if self.transport.in_memory else None
 
     def compare(self, observed: Tensor, target: Tensor) -> Tensor:
         """The difference's loss."""

@@ -2,25 +2,30 @@
 
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.experiment.items import distinct_stems
 from torchbrdf.experiment.matching import Budget, Match, Tried, find_budget, find_matches
 from torchbrdf.experiment.matching.judge import ALSO, DECIDES, Brdf
-from torchbrdf.experiment.matching.search import FAR_ENOUGH, to_json
+from torchbrdf.experiment.matching.search import to_json
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
 from torchbrdf.export import EXPORTERS, Exported, export
-from torchbrdf.files import destination, writable, write_json
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.measured import Measured, load_all
+from torchbrdf.lobes import FitRecord, Lobe, model_of
+from torchbrdf.measured import Measured, check, load_all
 from torchbrdf.progress import Progress, quiet
+from torchbrdf.registry import unknown
 from torchbrdf.render import Scene, cache_folder
-from torchbrdf.report.match_page import Finished, write_match_page
+from torchbrdf.report.match_folder import FITS, LIST, PAGE, add, prepared, read_entries, stems
+from torchbrdf.report.match_page import Finished, block_of
 
-FITS, LIST, PAGE = "fits", "match.json", "match.html"
+__all__ = ["FITS", "LIST", "PAGE", "match"]
+
 JOD = "jod"
 
 Source = Measured | str | os.PathLike[str]
@@ -67,37 +72,46 @@ def match(
         >>> print(found.sentence)  # doctest: +SKIP
         nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 56 % of observers would ...
     """
-    EXPORTERS[target]  # an unknown one is said at once
+    if target not in EXPORTERS:
+        raise unknown("target", target, EXPORTERS)
     budget = find_budget(budget) if isinstance(budget, str) else budget
-    folder = None if out is None else writable(Path(out))
-    if folder is not None:
-        for name in (LIST, PAGE):
-            destination(folder / name)
-    groups = _groups(source, bad)
-    if not groups:  # all are bad, which is said
-        return []
-    fits = None if folder is None else folder / FITS
-    matches = find_matches(
-        groups, target, budget, out=fits, scenes=scenes, cache=cache_folder(), progress=progress, bad=bad
-    )
-    stems = distinct_stems([one.material for one in matches])
+    with nullcontext() if out is None else prepared(Path(out)) as folder:
+        if folder is not None:
+            read_entries(folder)  # a list that is none is said before the work
+        groups = _groups(source, bad)
+        if not groups:  # all are bad, which is said
+            return []
+        fits = None if folder is None else folder / FITS
+        matches = find_matches(
+            groups, target, budget, out=fits, scenes=scenes, cache=cache_folder(), progress=progress, bad=bad
+        )
+        return _finish_all(matches, target, folder, bad)
+
+
+def _finish_all(
+    matches: list[Match], target: str, folder: Path | None, bad: list[TorchbrdfError] | None
+) -> list[Finished]:
+    """Write all matches, and the list and the page of the folder."""
+    names = [one.material for one in matches]
+    own = names if folder is None else stems(folder, names)
     unwritten: list[TorchbrdfError] = []
-    finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, stems, strict=True)]
+    finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, own, strict=True)]
     if bad is not None:
         bad += unwritten
     if folder is not None and finished:  # what an earlier match left stays where this one finds nothing
-        write_json(folder / LIST, [entry(one) for one in finished])
-        write_match_page(folder / PAGE, finished, target, [str(error) for error in bad or []])
+        entries, blocks = [entry(one, target) for one in finished], [block_of(one, target) for one in finished]
+        add(folder, entries, blocks, [str(error) for error in bad or []])
     if unwritten and bad is None:
         raise unwritten[0]
     return finished
 
 
-def entry(one: Finished) -> dict[str, Any]:
+def entry(one: Finished, target: str) -> dict[str, Any]:
     """What `match.json` has of a material."""
     means, record = one.means, one.chosen.record
     return {
         "material": one.match.material,
+        "target": target,
         "model": record.model,
         "lobes": record.lobes,
         "parameters": record.parameters,
@@ -113,6 +127,7 @@ def entry(one: Finished) -> dict[str, Any]:
         "files": [path.name for path in one.files],
         "exact": one.exact,
         "notes": one.notes,
+        "warnings": one.warnings,
         "where": one.words,
         "parts": [asdict(part) for part in one.parts],
         "angles": [asdict(own) for own in one.angles],
@@ -139,9 +154,7 @@ def _groups(source: Source | Sequence[Source], bad: list[TorchbrdfError] | None)
 
 def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[TorchbrdfError]) -> Finished:
     """Write a match for the target, and say where it is bad."""
-    notes = []
-    if one.reach < FAR_ENOUGH:
-        notes.append(f"measured to {one.reach:g} degrees only; beyond, the nearest measured values stand in")
+    notes: list[str] = []
     chosen, done = _written(one, stem, target, folder, bad)
     exact = done is None or done.exact
     shown: Brdf = chosen.record if done is None or done.exact else done.shown
@@ -152,7 +165,14 @@ def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[T
         notes.append(f"Delta E of the fit itself: {chosen.means}")
     found, by_angle = parts(one.judge, shown), angles(one.judge, shown)
     files = [] if done is None else done.files
-    return Finished(one, chosen, shown, figures, files, exact, notes, found, by_angle, in_words(found, by_angle))
+    warnings = [f"the measurement {line}" for line in check(one.judge.measured)[0].warnings()]
+    warnings += [f"the match {line}" for line in check(_as_lobe(shown))[0].warnings()]
+    words = in_words(found, by_angle)
+    return Finished(one, chosen, shown, figures, files, exact, notes, warnings, found, by_angle, words)
+
+
+def _as_lobe(brdf: Brdf) -> Lobe | Measured:
+    return model_of([brdf], torch.float32) if isinstance(brdf, FitRecord) else brdf
 
 
 def _written(

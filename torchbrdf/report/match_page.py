@@ -37,7 +37,8 @@ class Finished:
         figures: Of what is shown, by scene.
         files: That were written; none where the target could not show it.
         exact: Whether the target shows the fit itself.
-        notes: Of the export, and of what was measured.
+        notes: Of the export.
+        warnings: What no surface does, of the measurement and of the match, and what was not measured.
         parts: Where the match differs in pictures.
         angles: Where it differs by angle.
         words: Both in sentences.
@@ -50,6 +51,7 @@ class Finished:
     files: list[Path] = field(default_factory=list)
     exact: bool = True
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     angles: list[Angles] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
@@ -71,22 +73,65 @@ class Finished:
         )
 
 
-def write_match_page(path: Path, finished: Sequence[Finished], target: str, problems: Sequence[str]) -> None:
+@dataclass(frozen=True)
+class Row:
+    """A fit in the table of those that were tried, in words."""
+
+    label: str
+    loss: str
+    delta: list[str]
+    mean: str
+    picked: str
+    seconds: str
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of a scene as data URIs: the reference, and each fit with its map."""
+
+    reference: str
+    fits: list[str]
+    maps: list[str]
+
+
+@dataclass(frozen=True)
+class Block:
+    """What the page shows of one material: it is kept beside the fits, for a page that later matches add to."""
+
+    name: str
+    target: str
+    sentence: str
+    scenes: list[str]
+    labels: list[str]
+    rows: list[Row]
+    files: list[str]
+    notes: list[str]
+    warnings: list[str]
+    words: list[str]
+    parts: list[Part]
+    angles: list[Angles]
+    parameters: list[tuple[str, str]]
+    figures: list[tuple[str, list[str]]]
+    pictures: list[Pictures]
+
+
+def write_match_page(path: Path, blocks: Sequence[Block], problems: Sequence[str]) -> None:
     """Write the page, whole or not at all.
 
     Args:
         path: Where.
-        finished: The matches.
-        target: What they are for.
+        blocks: Of the matches.
         problems: What could not be matched.
     """
-    blocks = [_block(number, one) for number, one in enumerate(finished)]
-    names = [one.match.material for one in finished]
+    names = list(dict.fromkeys(block.name for block in blocks))
+    targets = ", ".join(dict.fromkeys(block.target for block in blocks))
     title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     page = template("match.html").render(
-        title=f"Matches for {target}: {title}",
-        blocks=[{key: value for key, value in block.items() if key != "data"} for block in blocks],
-        data=[block["data"] for block in blocks],
+        title=f"Matches for {targets}: {title}",
+        blocks=blocks,
+        several_targets="," in targets,
+        data=[{"scenes": [vars(scene) for scene in block.pictures]} for block in blocks],
         problems=list(problems),
         top=f"{MAP_TOP:g}",
         meaning=MEANING,
@@ -95,30 +140,30 @@ def write_match_page(path: Path, finished: Sequence[Finished], target: str, prob
     write_text(path, page)
 
 
-def _block(number: int, one: Finished) -> dict[str, Any]:
+def block_of(one: Finished, target: str) -> Block:
     """What the page shows of one material."""
     match, scenes = one.match, list(one.figures)
     pictured = [(one.chosen, one.shown), *((other, other.record) for other in _others(one)[: PICTURED - 1])]
-    return {
-        "number": number,
-        "name": match.material,
-        "sentence": one.sentence,
-        "scenes": scenes,
-        "size": next(iter(match.judge.scenes.values())).size,
-        "labels": [_label(tried) for tried, _ in pictured],
-        "rows": [_row(tried, tried is one.chosen, scenes) for tried in (one.chosen, *_others(one))],
-        "files": [path.name for path in one.files],
-        "notes": one.notes,
-        "words": one.words,
-        "parts": one.parts,
-        "angles": one.angles,
-        "parameters": _parameters(one.chosen.record.parameters),
-        "figures": [
+    return Block(
+        name=match.material,
+        target=target,
+        sentence=one.sentence,
+        scenes=scenes,
+        labels=[_label(tried) for tried, _ in pictured],
+        rows=[_row(tried, tried is one.chosen, scenes) for tried in (one.chosen, *_others(one))],
+        files=[path.name for path in one.files],
+        notes=one.notes,
+        warnings=one.warnings,
+        words=one.words,
+        parts=one.parts,
+        angles=one.angles,
+        parameters=_parameters(one.chosen.record.parameters),
+        figures=[
             (difference_label(key), [f"{own.differences[key]:.2f}" for own in one.figures.values()])
             for key in next(iter(one.figures.values())).differences
         ],
-        "data": {"scenes": [_pictures(one, [brdf for _, brdf in pictured], scene) for scene in scenes]},
-    }
+        pictures=[_pictures(one, [brdf for _, brdf in pictured], scene) for scene in scenes],
+    )
 
 
 def _others(one: Finished) -> list[Tried]:
@@ -129,29 +174,28 @@ def _label(tried: Tried) -> str:
     return f"{tried.candidate.label}, {loss_label(tried.record.loss)}"
 
 
-def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> dict[str, Any]:
+def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> Row:
     means = tried.means
-    return {
-        "label": tried.candidate.label,
-        "loss": loss_label(tried.record.loss),
-        "delta": [f"{tried.figures[name].delta_e76:.2f}" for name in scenes],
-        "mean": f"{means.mean:.2f}",
-        "picked": picked_out(means.told).percent,
-        "seconds": f"{tried.record.seconds:.1f}",
-        "chosen": chosen,
-    }
+    return Row(
+        label=tried.candidate.label,
+        loss=loss_label(tried.record.loss),
+        delta=[f"{tried.figures[name].delta_e76:.2f}" for name in scenes],
+        mean=f"{means.mean:.2f}",
+        picked=picked_out(means.told).percent,
+        seconds=f"{tried.record.seconds:.1f}",
+        chosen=chosen,
+    )
 
 
-def _pictures(one: Finished, brdfs: Sequence[Brdf], scene: str) -> dict[str, Any]:
-    """Pictures of one scene as data URIs: the reference, and each fit with its map."""
+def _pictures(one: Finished, brdfs: Sequence[Brdf], scene: str) -> Pictures:
     judge, coverage = one.match.judge, one.match.judge.scenes[scene].coverage
     reference = judge.reference(scene)
     shown = [judge.picture(brdf, scene) for brdf in brdfs]
-    return {
-        "reference": _webp(composite(reference, coverage)),
-        "fits": [_webp(composite(picture, coverage)) for picture in shown],
-        "maps": [_webp(composite(_map(picture, reference), coverage)) for picture in shown],
-    }
+    return Pictures(
+        reference=_webp(composite(reference, coverage)),
+        fits=[_webp(composite(picture, coverage)) for picture in shown],
+        maps=[_webp(composite(_map(picture, reference), coverage)) for picture in shown],
+    )
 
 
 def _map(picture: Tensor, reference: Tensor) -> Tensor:

@@ -11,6 +11,8 @@ from torchbrdf.lobes import LOBES, Lobe, make_model
 from torchbrdf.lobes.model import JOIN, component_kinds
 
 PICTURES = "rendered"
+# Of a metric and pictures together: between their names.
+AND = "+"
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
@@ -21,8 +23,9 @@ class Candidate:
     Args:
         model: As for `make_model`.
         lobes: As for `make_model`.
-        metrics: Losses of BRDF values that it is fitted under; None: the budget's, and pictures. Tables have a solver
-            of their own, for values only.
+        metrics: What it is fitted under: losses of BRDF values, `PICTURES`, or one of the former `AND` these; None:
+            the budget's metric, and pictures. Tables have a solver of their own, which pictures alone are too little
+            for.
 
     Example:
         >>> Candidate("ggx", 2).label, Candidate("oren_nayar+ggx+ggx").label
@@ -73,7 +76,8 @@ def _counted(name: str, count: int) -> str:
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
 )
-TABLES = tuple(Candidate("distribution_based", lobes, metrics=("compressed", "log")) for lobes in (2, 3))
+OF_TABLES = ("compressed", "log", f"compressed{AND}{PICTURES}")
+TABLES = tuple(Candidate("distribution_based", lobes, OF_TABLES) for lobes in (2, 3))
 FEW = (Candidate("ggx", 1), Candidate("ggx", 2))
 USUAL = (*FEW, Candidate("gtr", 2), Candidate("ggx", 3), *TABLES)
 MANY = (

@@ -11,14 +11,15 @@ from typing import Any
 import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.experiment.matching.candidates import PICTURES, Budget, Candidate, candidates_for
+from torchbrdf.experiment.matching.candidates import AND, PICTURES, Budget, Candidate, candidates_for
 from torchbrdf.experiment.matching.judge import Figures, Judge, Means
-from torchbrdf.experiment.matching.training import evenly, training_loss
+from torchbrdf.experiment.matching.training import MAX_THETA, find_loss, seen_by, training_loss
 from torchbrdf.files import locked, write_json
 from torchbrdf.fitting import Batches
 from torchbrdf.lobes import FitRecord
-from torchbrdf.losses import Loss, make_loss
+from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.tables import measured_up_to
 from torchbrdf.progress import Progress, part_of, quiet
 from torchbrdf.reading import read_json
 from torchbrdf.render import Scene, unseen_scenes
@@ -27,8 +28,6 @@ from torchbrdf.render import Scene, unseen_scenes
 CANNOT_BE_TOLD = 0.1
 # A simpler model is taken for as good as the best with so much more Delta E.
 AS_GOOD = 1.05
-# A material that is measured less far than this from the normal is said to be, in degrees.
-FAR_ENOUGH, RING = 75.0, 5.0
 MATERIALS = "materials.json"
 # Samples of a table that tell it from another.
 _DIGESTED = 2000
@@ -163,9 +162,9 @@ def find_matches(
         if number and time.perf_counter() - began > budget.seconds:
             break
         for name in candidate.losses(budget):
-            loss = pictures if name == PICTURES else make_loss(name)
             place = None if out is None else out / f"{candidate.stem}-{name}{_tag(name, budget)}"
-            _try(candidate, loss, place, left, part_of(progress, done + len(entries) - len(left), total))
+            own = part_of(progress, done + len(entries) - len(left), total)
+            _try(candidate, find_loss(name, pictures), place, left, own)
             done += len(entries)
     if total:
         progress(total, total)
@@ -191,7 +190,7 @@ class _Entry:
 
 def _tag(loss: str, budget: Budget) -> str:
     """What tells apart the fits to pictures of different budgets."""
-    return f"-{budget.size}-{budget.views}" if loss == PICTURES else ""
+    return f"-{budget.size}-{budget.views}" if PICTURES in loss.split(AND) else ""
 
 
 def _entries(
@@ -211,12 +210,13 @@ def _entries(
                     raise DataError(f"{name}: comes twice; give each file a name of its own")
                 taken.add(name)
                 known.check(name, one)
-                match = Match(name, Judge(one, scenes), reach=reach(one))
+                match = Match(name, Judge(one, scenes), reach=measured_up_to(one))
             except TorchbrdfError as error:
                 _say(bad, error if str(error).startswith(name) else DataError(f"{name}: {error}"))
                 continue
             found.append(_Entry(number, row, group, match))
-    known.save()
+    if found:
+        known.save()
     return found
 
 
@@ -234,9 +234,8 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
     parts = [own[0].measured.batch([one.row for one in own]) for own in groups.values()]
     if not parts:
         return
-    if not loss.scene_summary:
-        parts = [evenly(part) for part in parts]
-    batches = Batches(candidate.make(), loss, out=place, diffuse="fit")
+    parts = [seen_by(loss, part) for part in parts]
+    batches = Batches(candidate.make(), loss, out=place, diffuse="fit", max_theta=MAX_THETA)
     records = batches.run(parts, progress)
     for entry, record in zip([one for own in groups.values() for one in own], records, strict=True):
         figures = entry.match.judge.figures(record)
@@ -244,26 +243,6 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
             entry.match.tried.append(Tried(candidate, record, figures))
         else:
             entry.reason = record.reason or record.status
-
-
-def reach(measured: Measured) -> float:
-    """How far from the normal most directions of a material are measured, in degrees, to the ring.
-
-    Example:
-        >>> from torchbrdf.measured import load, standins
-        >>> reach(load(standins()).batch([6], torch.arange(0, 900_000, 100)))
-        90.0
-    """
-    pairs = measured.pairs
-    cosine = torch.minimum(pairs.cos_i, pairs.cos_o)[0].clamp(0, 1)
-    angle = torch.rad2deg(torch.atan2((1 - cosine.square()).sqrt(), cosine))
-    valid = (measured.weight[0, :, 0] > 0).double()
-    ring = (angle / RING).long().clamp_max(int(90 / RING) - 1)
-    count = torch.zeros(int(90 / RING), dtype=torch.float64, device=ring.device)
-    there = count.clone().index_add_(0, ring, valid)
-    count.index_add_(0, ring, torch.ones_like(valid))
-    known = ((there > 0.5 * count) & (count > 0)).nonzero()
-    return float((known.max() + 1) * RING) if len(known) else 0.0
 
 
 class _Known:

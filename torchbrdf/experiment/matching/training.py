@@ -6,36 +6,70 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchbrdf.experiment.matching.candidates import AND, PICTURES
 from torchbrdf.fitting import stratified
-from torchbrdf.losses import Loss
+from torchbrdf.losses import CombinedLoss, ImageLoss, Loss, make_loss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.measured import Interpolation, Lookup, Samples
 from torchbrdf.measured.merl import bin_centers
+from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
 from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, SideBySide, blob, sphere
 
 DIFFERENCE = "delta_e76"
 # Few half vectors and bins, as of `small_scene`: what a fit sees need not be drawn as well as what judges it.
 _NODES, _RESOLUTION = 64, (24, 16, 12)
-# As of `fit`: degrees from the normal, and samples that a solver sees.
-_MAX_THETA, _SAMPLES = 80.0, 20_000
+# Degrees from the normal: pictures show, at an outline, what lies beyond `fit`'s 80, too.
+MAX_THETA = 85.0
+# As of `fit`: samples that a solver sees.
+_SAMPLES = 20_000
+
+
+class Resampled(Samples):
+    """The format of measurements at some of MERL's bins, which know what is between those as they did before.
+
+    Args:
+        measured: Materials.
+        pairs: Those bins, `(1, N)`.
+    """
+
+    def __init__(self, measured: Measured, pairs: Pairs) -> None:
+        super().__init__(pairs, measured.reciprocal_at(pairs), None, measured.names)
+        self.measured = measured
+
+    def select(self, materials: list[int]) -> "Resampled":
+        """Some materials."""
+        return Resampled(self.measured.batch(materials), self.pairs)
+
+    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
+        """As the measurement has it."""
+        return self.measured.batch(materials).lookup(pairs, interpolation)
 
 
 @undisturbed()
 def evenly(measured: Measured) -> Measured:
-    """What losses of values see: a table at MERL's bins as it is, other samples at some of these bins.
+    """Materials at some of MERL's bins, up to `MAX_THETA` from the normal.
 
     Measurements that follow a highlight have hardly a sample elsewhere, and fits to those are far off in pictures.
 
     Args:
         measured: Materials.
     """
-    if measured.on_merl_bins:
-        return measured
     pairs = bin_centers().to(dtype=torch.float32)
-    inside = torch.minimum(pairs.cos_i, pairs.cos_o)[0] > math.cos(math.radians(_MAX_THETA))
+    inside = torch.minimum(pairs.cos_i, pairs.cos_o)[0] > math.cos(math.radians(MAX_THETA))
     pairs = pairs.select(samples=inside.nonzero()[:, 0])
     pairs = pairs.select(samples=stratified(len(pairs), _SAMPLES, 0))
-    return Measured.from_samples(pairs, measured.reciprocal_at(pairs), names=measured.names)
+    return Measured(Resampled(measured, pairs), dtype=torch.float32)
+
+
+def seen_by(loss: Loss, measured: Measured) -> Measured:
+    """What a fit under a loss is given: samples as they are or, where values count, at some of MERL's bins.
+
+    A fit to all of MERL's bins is worth its time where values alone count.
+    """
+    pictures_alone = isinstance(loss, ImageLoss)
+    whole = measured.on_merl_bins and not isinstance(loss, CombinedLoss)
+    return measured if pictures_alone or whole else evenly(measured)
 
 
 @undisturbed()
@@ -66,7 +100,25 @@ def lamps(height: int = 256, count: int = 24, seed: int = 3) -> Tensor:
     return picture
 
 
-def training_loss(size: int, views: int, cache: Path | None = None) -> Loss:
+# Of Delta E beside a metric of values: with less, tables follow the metric to where it does not see, and with more they
+# follow these few pictures.
+FACTOR = 1 / 50
+
+
+def find_loss(name: str, pictures: RenderedLoss) -> Loss:
+    """A loss by the name that candidates have it under.
+
+    Args:
+        name: A registered loss of values, `PICTURES`, or both with `AND` between.
+        pictures: What fits see.
+    """
+    if name == PICTURES:
+        return pictures
+    metric, both, _ = name.partition(AND)
+    return CombinedLoss(make_loss(metric), pictures, FACTOR) if both else make_loss(metric)
+
+
+def training_loss(size: int, views: int, cache: Path | None = None) -> RenderedLoss:
     """The colour difference of small pictures: the blob in the grove, the blob among lamps, and a sphere in the grove.
 
     Args:

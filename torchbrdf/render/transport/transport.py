@@ -130,6 +130,12 @@ class Transport:
                     found[..., some] = found[..., some].index_add(1, block.rows, part)
         return found.permute(2, 0, 1)
 
+    def matrices(self) -> list[sparse.csr_matrix]:
+        """The matrix of each channel, `(P, N)`, on the CPU."""
+        parts = [(block.rows.repeat_interleave(block.start.diff()), block.column, block.value) for block in self.blocks]
+        rows, columns, values = (torch.cat(one, -1).cpu().numpy() for one in zip(*parts, strict=True))
+        return [sparse.csr_matrix((own, (rows, columns)), (len(self.index), self.count)) for own in values]
+
     def select_rows(self, rows: Tensor) -> tuple["Transport", Tensor]:
         """Only some rows, and only the pairs that these need: the new transport, and which of the pairs it keeps."""
         wanted = torch.full((len(self.index),), -1, dtype=torch.int64, device=self.index.device)
