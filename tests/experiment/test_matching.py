@@ -139,10 +139,10 @@ def test_losses_of_values_see_all_directions(nickel, tmp_path):
     path.write_bytes(tensor_file(synthetic_bsdf()))
     found = evenly(load(path))
     assert found.names == ["made-up"] and found.values.shape == (1, 20_000, 3)
-    torch.testing.assert_close(found.values, load(path).at(found.pairs))
+    torch.testing.assert_close(found.values, load(path).reciprocal_at(found.pairs))
     again = pickle.loads(pickle.dumps(found))
     others = uniform_pairs(50).to(dtype=torch.float32)
-    torch.testing.assert_close(again.at(others), load(path).at(others.unsqueeze()))
+    torch.testing.assert_close(again.reciprocal_at(others), load(path).reciprocal_at(others.unsqueeze()))
     pictures = training_loss(8, 1)
     table, values, both = nickel, CompressedLoss(), find_loss("compressed+rendered", pictures)
     assert [seen_by(loss, table) is table for loss in (values, pictures, both)] == [True, True, False]
