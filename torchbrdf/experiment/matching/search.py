@@ -209,8 +209,9 @@ def _entries(
                 if name in taken:
                     raise DataError(f"{name}: comes twice; give each file a name of its own")
                 taken.add(name)
-                known.check(name, one)
-                match = Match(name, Judge(one, scenes), reach=measured_up_to(one))
+                # Views of their own, as each keeps all of its pairs.
+                known.check(name, one.batch())
+                match = Match(name, Judge(one, scenes), reach=measured_up_to(one.batch()))
             except TorchbrdfError as error:
                 _say(bad, error if str(error).startswith(name) else DataError(f"{name}: {error}"))
                 continue
