@@ -31,6 +31,7 @@ def main(files):
     timed("Lambert + 2 Ward", lambda: render(make_model("ward", 2), scene), unit)
     timed("30 times Lambert + 2 Ward, one call", lambda: render([make_model("ward", 2)] * 30, scene), unit)
     timed("a bundled stand-in", lambda: render(load(standins()).batch([0]), scene), unit)
+    timed("200 times, one call", lambda: render([make_model("ward", 2)] * 200, scene), unit)
     for name in files:
         table = load(name)
         timed(f"{name}, first time", lambda table=table: render(table, scene), unit)
