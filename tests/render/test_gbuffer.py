@@ -222,4 +222,4 @@ def test_the_command_line_has_backends_and_says_what_is_there(
         assert f"\n{name} " in "\n" + printed
     assert (backends.find_opengl().renderer or backends.find_opengl().reason) in printed
     assert main(["info"]) == 2
-    assert "expected files, or --system" in capsys.readouterr().err
+    assert "expected files, --zoo or --system" in capsys.readouterr().err
