@@ -89,7 +89,9 @@ class PublishedFitsRecipe(FitGridRecipe):
 
 def _thinned(measured: Measured, every: int) -> Measured:
     """One of so many pairs, in a file's order."""
-    return measured.batch(samples=torch.arange(0, len(measured.pairs), every)) if every > 1 else measured
+    if every == 1:
+        return measured
+    return measured.batch(samples=torch.arange(0, len(measured.pairs), every, dtype=torch.int64, device="cpu"))
 
 
 def _known(groups: list[Measured], published: dict[str, PublishedFits]) -> list[Measured]:

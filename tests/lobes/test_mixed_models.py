@@ -59,7 +59,7 @@ def test_a_name_says_what_the_components_are(name: str, kinds: list[type]) -> No
         ("lambert+eon", None, "expected a specular lobe"),
         ("ggx+ward", 3, "lobes: expected 2, as ggx\\+ward has, found 3"),
         ("ggx", 0, "lobes: expected at least 1, found 0"),
-        ("ggx+", None, "unknown lobe ''"),
+        ("ggx+", None, "lobe: expected a name, found ''"),
         ("ggx+paint", None, "unknown lobe 'paint'"),
     ],
 )
