@@ -208,6 +208,22 @@ def test_a_folder_that_cannot_be_written(small_command, merl_file, tmp_path, cap
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.parametrize("name", ["match.json", "match.html", "fits", "fits/pages"])
+def test_what_stands_in_the_place_of_a_file_is_said_before_the_work(name, tmp_path, monkeypatch, capsys):
+    place = tmp_path / name
+    if place.suffix:
+        place.mkdir()
+    else:
+        place.parent.mkdir(exist_ok=True)
+        place.write_text("", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setattr(module, "find_matches", lambda *_arguments, **_options: pytest.fail("the work was begun"))
+    assert main(["match", str(standins()), "--out", str(tmp_path)]) != 0
+    (said,) = capsys.readouterr().err.splitlines()
+    assert re.search(rf"{name}(/pages)?: (expected|cannot be written)", said)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_nothing_but_bad_files(small_command, tmp_path, capsys):
     (tmp_path / "bad.bsdf").write_bytes(b"nothing")
     assert small_command(tmp_path / "bad.bsdf", tmp_path / "nowhere", "--out", tmp_path / "out") == 1

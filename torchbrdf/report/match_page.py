@@ -182,7 +182,7 @@ def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> Row:
         delta=[f"{tried.figures[name].delta_e76:.2f}" for name in scenes],
         mean=f"{means.mean:.2f}",
         picked=picked_out(means.told).percent,
-        seconds=f"{tried.record.seconds:.1f}",
+        seconds=f"{tried.record.seconds:.1f} s",
         chosen=chosen,
     )
 

@@ -72,9 +72,10 @@ def _counted(name: str, count: int) -> str:
     return f"{word} {model_label(name)} lobe{'' if count == 1 else 's'}"
 
 
-# Models of targets that have one form of material and no tables: what they show has this form.
+# Models of targets that have one form of material and no tables: what they show has this form. Blender's node is
+# written as what OpenPBR's material is.
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
+    {"gltf": ("gltf",), "blender": ("openpbr",), "mtlx": ("openpbr",)}
 )
 OF_TABLES = ("compressed", "log", f"compressed{AND}{PICTURES}")
 TABLES = tuple(Candidate("distribution_based", lobes, OF_TABLES) for lobes in (2, 3))
