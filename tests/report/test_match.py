@@ -141,6 +141,15 @@ def test_without_a_folder_nothing_is_written(scenes, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("count", "said"), [(1, "over one scene)"), (9, "over 9 scenes)")])
+def test_scenes_of_ones_own(scenes, count, said):
+    own = {f"ball {k}": scenes["ball"] for k in range(count)}
+    (found,) = torchbrdf.match(load(standins()).batch([6]), budget=TINY, scenes=own)
+    assert said in found.sentence
+    with pytest.raises(UsageError, match="scenes: expected at least one"):
+        torchbrdf.match(load(standins()).batch([6]), budget=TINY, scenes={})
+
+
 def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, monkeypatch):
     real = module.export
 

@@ -148,10 +148,12 @@ def find_matches(
         The matches, in the order of the materials.
 
     Raises:
-        UsageError: There is no material.
+        UsageError: There is no material, or no scene.
         DataError: The folder cannot be used; or, without `bad`, a material cannot be matched.
     """
     began = time.perf_counter()
+    if scenes is not None and not scenes:
+        raise UsageError("match: scenes: expected at least one, found none")
     candidates = candidates_for(target, budget)
     scenes = unseen_scenes(cache=cache) if scenes is None else scenes
     entries = _entries(groups, scenes, bad, out)
