@@ -10,9 +10,12 @@ from helpers.measured_files import synthetic_bsdf, tensor_file
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment import matching
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, Figures, Judge, Tried, find_budget, find_matches
-from torchbrdf.experiment.matching.search import ranked
+from torchbrdf.experiment.matching.search import digest, ranked
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
 from torchbrdf.experiment.matching.training import evenly, find_loss, seen_by, training_loss
+from torchbrdf.export.blender import BLENDER
+from torchbrdf.export.gltf import GLTF
+from torchbrdf.export.mtlx import OPENPBR
 from torchbrdf.lobes import FitRecord, Lambert, Sum, read_fits
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins
@@ -122,6 +125,19 @@ def test_a_target_with_a_model_of_its_own_gets_that(monkeypatch):
     monkeypatch.setattr(matching.candidates, "OWN_MODEL", {"gltf": ("ward", "not_there"), "mtlx": ("not_there",)})
     assert matching.candidates_for("gltf", TINY) == (Candidate("ward"),)
     assert matching.candidates_for("mtlx", TINY) == TINY.candidates
+
+
+def test_a_target_s_own_model_is_what_its_file_shows():
+    """Another one would be refitted when it is written."""
+    for target in (GLTF, OPENPBR, BLENDER):
+        assert matching.candidates_for(target.name, TINY) == (Candidate(target.model),)
+
+
+def test_a_material_among_larger_ones_is_the_one_alone(tmp_path):
+    for name, size in (("large", 20), ("small", 8)):
+        (tmp_path / f"{name}.bsdf").write_bytes(tensor_file(synthetic_bsdf(size=size)))
+    both, alone = load([tmp_path / "large.bsdf", tmp_path / "small.bsdf"]), load(tmp_path / "small.bsdf")
+    assert digest(both.batch([1])) == digest(alone) != digest(both.batch([0]))
 
 
 def test_where_a_match_is_bad(scenes):

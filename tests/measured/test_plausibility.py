@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers.measured_files import synthetic_bsdf, tensor_file
 from scipy.integrate import dblquad
 
 from torchbrdf import Pairs
@@ -67,6 +68,16 @@ def test_materials_of_a_file_and_of_a_batch():
     batch = check(Lambert(albedo=torch.tensor([[0.1] * 3, [1.2] * 3])))
     assert [len(one.warnings()) for one in batch] == [0, 1]
     assert found[0].to_dict()["largest_albedo"] == max(map(max, found[0].albedo))
+
+
+def test_a_file_among_larger_ones_is_found_as_alone(tmp_path):
+    """Files of RGL's format with fewer samples are padded; what pads them is not missing."""
+    for name, size in (("large", 20), ("small", 8)):
+        (tmp_path / f"{name}.bsdf").write_bytes(tensor_file(synthetic_bsdf(size=size)))
+    together = check(load([tmp_path / "large.bsdf", tmp_path / "small.bsdf"]))[1]
+    alone = check(load(tmp_path / "small.bsdf"))[0]
+    assert (together.name, together.invalid) == ("small", alone.invalid)
+    assert together.reach == pytest.approx(alone.reach) and together.warnings() == alone.warnings()
 
 
 def test_a_file_that_reaches_only_so_far():

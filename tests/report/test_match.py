@@ -141,6 +141,15 @@ def test_without_a_folder_nothing_is_written(scenes, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("count", "said"), [(1, "over one scene)"), (9, "over 9 scenes)")])
+def test_scenes_of_ones_own(scenes, count, said):
+    own = {f"ball {k}": scenes["ball"] for k in range(count)}
+    (found,) = torchbrdf.match(load(standins()).batch([6]), budget=TINY, scenes=own)
+    assert said in found.sentence
+    with pytest.raises(UsageError, match="scenes: expected at least one"):
+        torchbrdf.match(load(standins()).batch([6]), budget=TINY, scenes={})
+
+
 def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, monkeypatch):
     real = module.export
 
@@ -206,6 +215,22 @@ def test_a_folder_that_cannot_be_written(small_command, merl_file, tmp_path, cap
     (tmp_path / "file").write_text("")
     assert small_command(merl_file, "--out", tmp_path / "file") != 0
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["match.json", "match.html", "fits", "fits/pages"])
+def test_what_stands_in_the_place_of_a_file_is_said_before_the_work(name, tmp_path, monkeypatch, capsys):
+    place = tmp_path / name
+    if place.suffix:
+        place.mkdir()
+    else:
+        place.parent.mkdir(exist_ok=True)
+        place.write_text("", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setattr(module, "find_matches", lambda *_arguments, **_options: pytest.fail("the work was begun"))
+    assert main(["match", str(standins()), "--out", str(tmp_path)]) != 0
+    (said,) = capsys.readouterr().err.splitlines()
+    assert re.search(rf"{name}(/pages)?: (expected|cannot be written)", said)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_nothing_but_bad_files(small_command, tmp_path, capsys):

@@ -110,6 +110,7 @@ BLENDER = Target(
         "ggx": lambda lobe: _metal(ggx(lobe)),
         "ggx_f82": lambda lobe: _metal(conductor(lobe)),
     },
+    name="blender",
 )
 
 

@@ -99,6 +99,7 @@ GLTF = Target(
     translated=_own,
     differs="",
     simple={"lambert": _lambert, "ggx": _ggx, "ggx_f82": _conductor},
+    name="gltf",
 )
 
 

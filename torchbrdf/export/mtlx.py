@@ -83,6 +83,7 @@ OPENPBR = Target(
     translated=inputs_of,
     differs="",
     simple={"lambert": diffuse, "eon": diffuse, "ggx": ggx, "ggx_f82": conductor},
+    name="mtlx",
 )
 
 

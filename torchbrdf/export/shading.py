@@ -67,6 +67,7 @@ class Target:
         differs: In what the program's own function differs from that lobe; nothing if it does not.
         simple: By the registered name of another lobe, such as "lambert", the parameters with which the program shows
             that lobe alone exactly; None where it cannot.
+        name: Registered name of the exporter, for which `match` finds what is nearer than a refitted model; "" if none.
     """
 
     title: str
@@ -75,6 +76,7 @@ class Target:
     translated: Callable[[Any], Values]
     differs: str
     simple: Mapping[str, Callable[[Any], Values | None]]
+    name: str = ""
 
     def shading(self, material: Material) -> Shading:
         """The program's parameters for a material.
@@ -92,7 +94,8 @@ class Target:
                 return self._own(part, material.brdf, material.name, [])
         fitted = refit(material, self.model)
         (part,) = fitted.model.components()
-        return self._own(part, fitted.model, material.name, [fitted.note])
+        nearer = f"; torchbrdf match MEASUREMENT --for {self.name} finds a nearer one" if self.name else ""
+        return self._own(part, fitted.model, material.name, [fitted.note + nearer])
 
     def _exactly(self, lobe: Lobe, kind: str | None, material: Material) -> Shading | None:
         """The same function in the program's terms, if it has it within its limits."""

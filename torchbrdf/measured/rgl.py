@@ -153,8 +153,9 @@ class Rgl(BrdfFormat):
             torch.nn.utils.rnn.pad_sequence(list(part), batch_first=True) for part in zip(*files, strict=True)
         )
         padding = wi.square().sum(-1) == 0
-        wi[..., 2] += padding
-        wo[..., 2] += padding
+        wi[..., 2] += padding  # seen from below the horizon, as nothing that counts as measured or as missing
+        wo[..., 0] += 0.8 * padding
+        wo[..., 2] -= 0.6 * padding
         return Pairs.from_directions(wi, wo), values, valid[..., None].double()
 
     @cached_property

@@ -31,11 +31,13 @@ def prepared(out: Path) -> Iterator[Path]:
     Raises:
         DataError: It cannot be written.
     """
-    missing = [path for path in (out, *out.parents) if not path.exists()]
+    missing = [path for path in (out / FITS / PAGES, out / FITS, out, *out.parents) if not path.exists()]
     try:
         folder = writable(out)
         for name in (LIST, PAGE):
             destination(folder / name)
+        for part in (folder / FITS, folder / FITS / PAGES):
+            writable(part)
         yield folder
     finally:
         for path in missing:

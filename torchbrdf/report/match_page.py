@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchbrdf.experiment.labels import difference_label, loss_label
 from torchbrdf.experiment.matching import Figures, Match, Tried
-from torchbrdf.experiment.matching.candidates import NUMBERS
+from torchbrdf.experiment.matching.candidates import so_many
 from torchbrdf.experiment.matching.judge import Brdf, Means, picked_out
 from torchbrdf.experiment.matching.shortfall import Angles, Part
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, color_difference
@@ -64,12 +64,11 @@ class Finished:
     @property
     def sentence(self) -> str:
         """The match in one line."""
-        means = self.means
+        means, scenes = self.means, so_many(len(self.figures), "scene")
         beside = f"about {picked_out(means.told).percent} of observers would pick it out beside the original"
-        count = NUMBERS[len(self.figures)]
         return (
             f"{self.match.material} as {self.chosen.candidate.label}: Delta E {means.mean:.1f} "
-            f"({means.low:.1f} to {means.high:.1f} over {count} scenes); {beside}"
+            f"({means.low:.1f} to {means.high:.1f} over {scenes}); {beside}"
         )
 
 
@@ -182,7 +181,7 @@ def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> Row:
         delta=[f"{tried.figures[name].delta_e76:.2f}" for name in scenes],
         mean=f"{means.mean:.2f}",
         picked=picked_out(means.told).percent,
-        seconds=f"{tried.record.seconds:.1f}",
+        seconds=f"{tried.record.seconds:.1f} s",
         chosen=chosen,
     )
 

@@ -66,15 +66,23 @@ class Candidate:
 
 
 def _counted(name: str, count: int) -> str:
-    if LOBES[name].is_diffuse:
-        return model_label(name)
-    word = NUMBERS[count] if count < len(NUMBERS) else str(count)
-    return f"{word} {model_label(name)} lobe{'' if count == 1 else 's'}"
+    return model_label(name) if LOBES[name].is_diffuse else so_many(count, f"{model_label(name)} lobe")
 
 
-# Models of targets that have one form of material and no tables: what they show has this form.
+def so_many(count: int, what: str) -> str:
+    """A small number as a word, and of what.
+
+    Example:
+        >>> so_many(1, "scene"), so_many(12, "scene")
+        ('one scene', '12 scenes')
+    """
+    return f"{NUMBERS[count] if count < len(NUMBERS) else count} {what}{'' if count == 1 else 's'}"
+
+
+# Models of targets that have one form of material and no tables: what they show has this form. Blender's node is
+# written as what OpenPBR's material is.
 OWN_MODEL: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"gltf": ("gltf",), "blender": ("principled",), "mtlx": ("openpbr",)}
+    {"gltf": ("gltf",), "blender": ("openpbr",), "mtlx": ("openpbr",)}
 )
 OF_TABLES = ("compressed", "log", f"compressed{AND}{PICTURES}")
 TABLES = tuple(Candidate("distribution_based", lobes, OF_TABLES) for lobes in (2, 3))

@@ -148,10 +148,12 @@ def find_matches(
         The matches, in the order of the materials.
 
     Raises:
-        UsageError: There is no material.
+        UsageError: There is no material, or no scene.
         DataError: The folder cannot be used; or, without `bad`, a material cannot be matched.
     """
     began = time.perf_counter()
+    if scenes is not None and not scenes:
+        raise UsageError("match: scenes: expected at least one, found none")
     candidates = candidates_for(target, budget)
     scenes = unseen_scenes(cache=cache) if scenes is None else scenes
     entries = _entries(groups, scenes, bad, out)
@@ -275,8 +277,10 @@ class _Known:
 
 def digest(measured: Measured) -> str:
     """Of the values of one material."""
-    count = len(measured.pairs)
-    some = torch.arange(0, count, max(count // _DIGESTED, 1), dtype=torch.int64, device="cpu")
+    every = torch.arange(len(measured.pairs), dtype=torch.int64, device="cpu")
+    if not measured.on_merl_bins:  # without what a group of files of many sizes pads it with
+        every = every[measured.weight[0, :, 0].cpu() > 0]
+    some = every[:: max(len(every) // _DIGESTED, 1)]
     part = measured.batch([0], some)
     return hashlib.sha256(part.values.float().cpu().numpy().tobytes()).hexdigest()[:16]
 
