@@ -72,9 +72,12 @@ class ImageVsAnalytic(FitGridRecipe):
     def steps(self, folder: RunFolder) -> Path:
         """References and tone maps, fits, pictures, report."""
         size, train, lights = self.size, self.train_size, self.lights
-        rendered, chooser = self.rendered, ImageDriven()
+        models, rendered, chooser = self.models, self.rendered, ImageDriven()
         if self.quick:
-            size, train, lights, rendered = min(size, 48), min(train, 32), 128, rendered[-1:]
+            size, train, lights = min(size, 48), min(train, 32), 128
+            own = type(self)  # what somebody asked for is not left out
+            models = models[:1] if models == own.models else models
+            rendered = rendered[-1:] if rendered == own.rendered else rendered
             chooser = ImageDriven(metrics=("cube_root", "compressed"))
         groups, bad = load_materials(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)
@@ -82,7 +85,7 @@ class ImageVsAnalytic(FitGridRecipe):
         other = find_mesh(self.unseen_shape), turned, Environment.find(self.unseen_environment)
         scenes = {TRAINING: Scene(mesh, Camera(), light, size=size), UNSEEN: Scene(*other, size=size)}
         losses: dict[str, Loss] = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
-        grid = self.make_grid(folder, groups, losses, models=self.models[:1] if self.quick else self.models)
+        grid = self.make_grid(folder, groups, losses, models=models)
         pictures = Pictures(grid, scenes, self.differences, maps=True)
         pictures.draw(fits=False)
         pictures.measure_tones(fits=False)

@@ -76,8 +76,8 @@ def test_older_files_load_and_are_written_as_they_are():
         ("parameters", DULL | {"specular": [[0.1, [0.1], 0.1]]}, "specular: expected 3 numbers"),
         ("parameters", DULL | {"specular": [[[0.1, 0.1, 0.1]]]}, "specular: expected 3 numbers"),
         ("parameters", DULL | {"specular": [json.loads("[" * 900 + "]" * 900)]}, "specular: expected 3 numbers"),
-        ("parameters", DULL | {"roughness": [0.0]}, "fit 0: parameters of ward: expected those of a model with values"),
-        ("parameters", DULL | {"roughness": [1e-30]}, "fit 0: parameters of ward: expected those of a model"),
+        ("parameters", DULL | {"roughness": [0.0]}, "fit 0: parameters of ward: expected them within their bounds"),
+        ("parameters", DULL | {"roughness": [1e-30]}, "fit 0: parameters of ward: expected them within their bounds"),
     ],
     ids=lambda value: None if isinstance(value, dict) else str(value)[:30].encode("unicode_escape").decode(),
 )
@@ -135,3 +135,12 @@ def test_fits_of_different_models_make_no_batch():
     one, two = FitRecord("paint", "ward", 1, DULL), read_fits(standins())[0]
     with pytest.raises(DataError, match=f"^{two.material}: expected lobes as paint has"):
         model_of([one, two])
+
+
+@pytest.mark.parametrize(("name", "value"), [("roughness", 0.0), ("ior", 0.0)])
+def test_values_that_are_not_finite_are_blamed_on_the_parameter_outside_its_bounds(tmp_path, name, value):
+    coat = {"base_color": [0.5] * 3, "specular": 1.0, "roughness": 0.1, "ior": 1.5, name: value}
+    fits = [{"material": "paint", "model": "roughplastic", "lobes": 1, "parameters": coat}]
+    (tmp_path / "fits.json").write_text(json.dumps(fits))
+    with pytest.raises(DataError, match=rf"fit 0: .* within their bounds, found {name} 0, not [0-9.]+ to"):
+        read_fits(tmp_path / "fits.json")

@@ -353,3 +353,14 @@ def test_a_bad_file_is_left_out_with_a_word(tmp_path, caplog):
     report = run(configure(RECIPES["fores2012"], settings), tmp_path / "out")
     assert "broken.binary" in caplog.text and "left out" in (tmp_path / "out" / "log.txt").read_text()
     assert "broken.binary" in report.read_text()
+
+
+@pytest.mark.parametrize(("asked", "fitted"), [({"models": "ward,ggx"}, ("ward", "ggx")), ({}, ("ward",))])
+def test_a_quick_run_leaves_out_only_models_that_nobody_asked_for(tmp_path, monkeypatch, asked, fitted):
+    def make_grid(recipe, folder, groups, losses, *, models):
+        raise RuntimeError(f"models {models}")
+
+    monkeypatch.setattr(type(RECIPES["image_vs_analytic"]()), "make_grid", make_grid)
+    small = {"quick": "true", "size": "16", "train_size": "16"}
+    with pytest.raises(RuntimeError, match=re.escape(f"models {fitted}")):
+        run(configure(RECIPES["image_vs_analytic"], small | asked), tmp_path / "out")

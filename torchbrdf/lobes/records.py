@@ -263,10 +263,7 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
                 raise
             errors[k] = error
     for k in _not_finite(found):
-        errors[k] = DataError(
-            f"{path}: fit {k}: parameters of {found[k].model}: expected those of a model with values of at most "
-            f"{LARGEST_VALUE:g} / sr, found others for {found.pop(k).material}"
-        )
+        errors[k] = DataError(f"{path}: fit {k}: parameters of {found[k].model}: {_why_not_finite(found.pop(k))}")
         if bad is None:
             raise errors[k]
     kept = list(found.values())
@@ -310,6 +307,15 @@ def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
             finite = (values.abs() <= LARGEST_VALUE).flatten(1).all(-1)
             bad |= {k for k, good in zip(rows, finite.tolist(), strict=True) if not good}
     return sorted(bad)
+
+
+def _why_not_finite(record: FitRecord) -> str:
+    """What was expected and found: a parameter outside its bounds, where there is one, is what can be mended."""
+    outside = outside_bounds(from_parameters(record.model, record.parameters, torch.float64))
+    if outside:
+        return f"expected them within their bounds, found {outside[0]}, with which values are not finite"
+    limit = f"{LARGEST_VALUE:g} / sr"
+    return f"expected those of a model with values of at most {limit}, found others for {record.material}"
 
 
 def _probes() -> Pairs:
