@@ -10,12 +10,13 @@ from helpers.measured_files import synthetic_bsdf, tensor_file
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment import matching
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, Figures, Judge, Tried, find_budget, find_matches
-from torchbrdf.experiment.matching.search import digest, ranked
+from torchbrdf.experiment.matching.search import ranked
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
 from torchbrdf.experiment.matching.training import evenly, find_loss, seen_by, training_loss
 from torchbrdf.export.blender import BLENDER
 from torchbrdf.export.gltf import GLTF
 from torchbrdf.export.mtlx import OPENPBR
+from torchbrdf.fitting.known import digest
 from torchbrdf.lobes import FitRecord, Lambert, Sum, read_fits
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins

@@ -13,8 +13,8 @@ from helpers.known_models import measured_from, some_pairs, two_lobes
 from torchbrdf.errors import DataError
 from torchbrdf.fitting import Batches, Status, cross_score, fit
 from torchbrdf.lobes import make_model, read_fits
-from torchbrdf.losses import RMSLoss
-from torchbrdf.measured import load, standins
+from torchbrdf.losses import CompressedLoss, RMSLoss
+from torchbrdf.measured import Measured, load, standins
 
 
 def materials(names):
@@ -44,7 +44,7 @@ def test_several_at_once_add_to_one_folder(tmp_path):
     found = [record.material for record in read_fits(tmp_path / "fits.json")]
     assert sorted(found) == ["m0", "m1", "m2", "m3", "shared"]
     assert rows_of_table(tmp_path) == found
-    assert {one.name for one in tmp_path.iterdir()} == {"fits.json", "fits.csv"}
+    assert {one.name for one in tmp_path.iterdir()} == {"fits.json", "fits.csv", "materials.json"}
 
 
 @pytest.mark.parametrize("spoil", [lambda path: path.unlink(), lambda path: path.write_text("material\nold\n")])
@@ -144,3 +144,19 @@ def test_scores_whose_worker_is_killed_twice_are_nan(processes, tmp_path):
     model = make_model("ward", 1).batched(6)
     found = cross_score([model], measured, [deadly_loss(tmp_path, 2)])
     assert 0 < found.isnan().sum() < 6 and found[0, 0, measured.names.index("nylon")].isnan()
+
+
+def test_another_material_of_the_same_name_is_refused(tmp_path):
+    batches(tmp_path).run([materials(["a", "b"])])
+    before = (tmp_path / "fits.json").read_bytes()
+    other = load(standins()).batch([6], torch.arange(0, 900_000, 3000))
+    renamed = Measured.from_samples(other.pairs, other.values, other.weight, names=["a"])
+    with pytest.raises(DataError, match=r"a: expected the material that .*materials.json has, found another; give"):
+        batches(tmp_path).run([renamed])
+    assert (tmp_path / "fits.json").read_bytes() == before
+
+
+def test_without_any_pair_a_fit_says_so():
+    one = materials(["a"])
+    empty = Measured.from_samples(one.pairs.select(samples=slice(0)), one.values[:, :0], names=["a"])
+    assert fit(make_model("ward", 1), empty, CompressedLoss(), diffuse="fit").status == ["no_data"]

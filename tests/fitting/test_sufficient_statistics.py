@@ -133,7 +133,7 @@ def test_a_fit_by_sums_is_the_fit_to_all_pairs():
 def test_several_fits_share_one_pass(monkeypatch):
     measured = table(step=100)
     losses, models = [RMSLoss(), CosineRMSLoss(), CompressedLoss()], [make_model("ward", 1), make_model("ggx", 1)]
-    gathered = Gathered(measured, models, losses)
+    gathered = Gathered(measured.within(80.0), models, losses)
     shared = [fit(model, measured, loss, gathered=gathered) for model in models for loss in losses]
     alone = [fit(model, measured, loss) for model in models for loss in losses]
     for one, other in zip(shared, alone, strict=True):
@@ -182,9 +182,24 @@ def test_where_there_are_no_sums():
 
 def test_sums_of_other_materials_are_refused():
     measured, loss, model = table(step=100), RMSLoss(), make_model("ward", 1)
-    gathered = Gathered(measured, [model], [loss])
-    with pytest.raises(UsageError, match="expected sums of 1 materials, found those of 2"):
-        fit(model, measured.batch([0]), loss, gathered=gathered)
+    for wrong in (measured, measured.within(40.0), measured.batch([1]), table(step=100)):
+        with pytest.raises(UsageError, match="gathered: expected a Gathered of these materials within 80 degrees"):
+            fit(model, measured.batch([0]), loss, gathered=Gathered(wrong, [model], [loss]))
+    for wrong in (measured, "x"):
+        with pytest.raises(UsageError, match="gathered: expected a Gathered"):
+            fit(model, measured, loss, gathered=wrong)
+    right = Gathered(measured.batch([0]).within(80.0), [model], [loss])
+    assert fit(model, measured.batch([0]), loss, gathered=right).samples is None
+
+
+def test_factors_that_are_not_finite_are_refused():
+    class Broken(Lambert):
+        @classmethod
+        def pair_factors(cls, pairs):
+            return [pairs.cos_i * torch.nan]
+
+    with pytest.raises(UsageError, match=r"Broken\.pair_factors: expected finite values, found some that are not"):
+        fit(Sum(Broken()), table(step=100), RMSLoss())
 
 
 def test_a_material_without_valid_samples_leaves_the_others_be():

@@ -8,6 +8,7 @@ from torchbrdf.fitting.result import FitResult, write_fits_csv
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.fitting.scoring import cross_score, local_minima, score
 from torchbrdf.fitting.strategy import STRATEGIES
+from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.fitting.tabulated import TabulatedFit
 from torchbrdf.solvers import Status
 
@@ -15,6 +16,7 @@ __all__ = [
     "STRATEGIES",
     "Batches",
     "FitResult",
+    "Gathered",
     "GlobalSearch",
     "ImageDriven",
     "SlowFitWarning",

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.intervals import (
     BOOTSTRAP,
@@ -93,7 +93,8 @@ def fit(
         intervals: of the parameters, 95 %: "gauss_newton", for losses of squares, which costs nothing; "bootstrap" adds
             those of 100 refits, for losses of BRDF values; "none". See [Fit](how-to/fit.md).
         progress: called with the number of materials done, as they are done.
-        gathered: the sums of these materials within `max_theta`, for several fits that share one pass over them.
+        gathered: a `torchbrdf.fitting.Gathered` of these materials within `max_theta`, for several fits that share one
+            pass over them; it serves the loss objects that it was made with.
 
     Returns:
         The fitted models, their errors, and how each fit ended.
@@ -113,8 +114,8 @@ def fit(
     """
     if not -(2**63) <= seed < 2**63:
         raise UsageError(f"seed: expected an integer of 64 bits, found {seed}")
-    if samples is not None and samples < 1:
-        raise UsageError(f"samples: expected at least 1, found {samples}")
+    if samples is not None and (not isinstance(samples, int) or samples < 1):
+        raise UsageError(f"samples: expected an integer of at least 1, or None, found {shown(samples)}")
     if not len(measured):
         raise UsageError("fit: expected at least one material, found none")
     began = time.perf_counter()
@@ -142,10 +143,11 @@ def fit(
     free_components = [part for k, part in enumerate(model.components()) if k not in held]
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
-    gathered = Gathered(measured, [model], [loss]) if gathered is None else gathered
+    if gathered is None:
+        gathered = Gathered(measured, [model], [loss])
+    elif not isinstance(gathered, Gathered) or not gathered.is_of(measured):
+        raise UsageError(f"fit: gathered: expected a Gathered of these materials within {max_theta:g} degrees")
     sums = None if intervals == BOOTSTRAP else gathered.find(model, loss)
-    if sums is not None and len(sums.zero) != len(measured):
-        raise UsageError(f"fit: expected sums of {len(measured)} materials, found those of {len(sums.zero)}")
     work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums)
     found: list[tuple[list[int], _Fitted | Lost]] = []
     for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes)):

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, shown
 from torchbrdf.files import destination, locked, write_text
 from torchbrdf.fitting.api import diffuse_mode, fit
+from torchbrdf.fitting.known import KnownMaterials
 from torchbrdf.fitting.result import fits_csv
 from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.images import DIFFERENCES
@@ -82,12 +83,19 @@ class Batches:
         """The records of all materials, in their order.
 
         Raises:
-            DataError: Two materials have the same name, and the fits are to be written.
+            DataError: Two materials have the same name, and the fits are to be written; or the folder has fits of
+                another material of a name.
         """
         names = [name for group in groups for name in group.names]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice and self.out is not None:
             raise DataError(f"{twice[0]}: comes twice; give each file a name of its own")
+        if self.out is not None:
+            known = KnownMaterials(self.out)
+            for group in groups:
+                for k, name in enumerate(group.names):
+                    known.check(name, group.batch([k]))
+            known.save()
         found: list[FitRecord] = []
         before = self.done
         for group in groups:

@@ -15,6 +15,7 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
+from torchbrdf.errors import UsageError
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.lobes import Lobe
@@ -139,6 +140,19 @@ class Gathered:
         self.kinds = tuple(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
         self.losses = [loss for loss in losses if loss.is_quadratic]
 
+    def is_of(self, measured: Measured) -> bool:
+        """Whether these are the sums of just these samples of just these materials."""
+        own = self.measured
+        same = own.samples is measured.samples or (
+            own.samples is not None and measured.samples is not None and torch.equal(own.samples, measured.samples)
+        )
+        return (
+            same
+            and own.source is measured.source
+            and own.materials == measured.materials
+            and (own.max_theta == measured.max_theta)
+        )
+
     def find(self, model: Lobe, loss: Loss) -> SufficientStatistics | None:
         """Those of a model under a loss; None where there are none, and the pairs themselves are needed."""
         kinds = factor_kinds(model)
@@ -227,8 +241,11 @@ class _Sums:
 def _factors(kinds: Sequence[type[Lobe]], pairs: Pairs) -> Tensor:
     """The B_j of all kinds on pairs `(1, n)`, float64, `(J, n)`."""
     wide = pairs.to(dtype=torch.float64)
-    found = [one for kind in kinds for one in kind.pair_factors(wide)]
-    return torch.cat([one.expand(1, len(pairs)) for one in found])
+    found = [(kind, one) for kind in kinds for one in kind.pair_factors(wide)]
+    for kind, one in found:
+        if not one.isfinite().all():
+            raise UsageError(f"{kind.__name__}.pair_factors: expected finite values, found some that are not")
+    return torch.cat([one.expand(1, len(pairs)) for _, one in found])
 
 
 def _probes(factors: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ class Plausibility:
                 f"was measured only to {self.reach:.0f} degrees from the normal; beyond, the nearest values stand in"
             )
         if self.invalid > 0.01:
-            found.append(f"has no valid value in {100 * self.invalid:.2g} % of samples within {RELIABLE:g} degrees")
+            found.append(f"has no valid value in {100 * self.invalid:.3g} % of samples within {RELIABLE:g} degrees")
         return found
 
 

@@ -1,6 +1,5 @@
 """Fit every candidate, judge the fits, and choose: for each material the simplest model that looks like it."""
 
-import hashlib
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -8,29 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.experiment.matching.candidates import AND, PICTURES, Budget, Candidate, candidates_for
 from torchbrdf.experiment.matching.judge import Figures, Judge, Means
 from torchbrdf.experiment.matching.training import MAX_THETA, find_loss, seen_by, training_loss
-from torchbrdf.files import locked, write_json
 from torchbrdf.fitting import Batches
+from torchbrdf.fitting.known import KnownMaterials
 from torchbrdf.lobes import FitRecord
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.tables import measured_up_to
 from torchbrdf.progress import Progress, part_of, quiet
-from torchbrdf.reading import read_json
 from torchbrdf.render import Scene, unseen_scenes
 
 # Two pictures are taken for alike where so many observers, or fewer, would know in any scene which is the fit.
 CANNOT_BE_TOLD = 0.1
 # A simpler model is taken for as good as the best with so much more Delta E.
 AS_GOOD = 1.05
-MATERIALS = "materials.json"
-# Samples of a table that tell it from another.
-_DIGESTED = 2000
 
 
 @dataclass(frozen=True)
@@ -201,7 +194,7 @@ def _entries(
     """The materials, each with the pictures that judge its fits; what has none is said."""
     if not any(map(len, groups)):
         raise UsageError("match: expected at least one material, found none")
-    known, taken = _Known(out), set()
+    known, taken = KnownMaterials(out), set()
     found = []
     for number, group in enumerate(groups):
         for row in range(len(group)):
@@ -246,43 +239,6 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
             entry.match.tried.append(Tried(candidate, record, figures))
         else:
             entry.reason = record.reason or record.status
-
-
-class _Known:
-    """The materials that a folder has fits of, by digests of their values: names alone may be those of others."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self.path = None if folder is None else folder / MATERIALS
-        self.digests = self._read()
-
-    def _read(self) -> dict[str, str]:
-        if self.path is None or not self.path.exists():
-            return {}
-        found: dict[str, str] = read_json(self.path, dict[str, str], "digests of materials, from match")
-        return found
-
-    def check(self, name: str, measured: Measured) -> None:
-        """A DataError if the folder's fits of that name are of something else."""
-        own = digest(measured)
-        if self.digests.setdefault(name, own) != own:
-            raise DataError(f"{name}: expected the material that {self.path} has, found another; give another folder")
-
-    def save(self) -> None:
-        """Write what is known now, beside what other processes found."""
-        if self.path is not None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with locked(self.path.parent, wait=60.0):
-                write_json(self.path, self._read() | self.digests)
-
-
-def digest(measured: Measured) -> str:
-    """Of the values of one material."""
-    every = torch.arange(len(measured.pairs), dtype=torch.int64, device="cpu")
-    if not measured.on_merl_bins:  # without what a group of files of many sizes pads it with
-        every = every[measured.weight[0, :, 0].cpu() > 0]
-    some = every[:: max(len(every) // _DIGESTED, 1)]
-    part = measured.batch([0], some)
-    return hashlib.sha256(part.values.float().cpu().numpy().tobytes()).hexdigest()[:16]
 
 
 def to_json(one: Tried, chosen: bool) -> dict[str, Any]:

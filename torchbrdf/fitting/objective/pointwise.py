@@ -91,8 +91,10 @@ class Sums:
     def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, q, P)`."""
         gradient = torch.einsum("rcq,rcqp->rp", self.slopes, jacobian)
-        if self.grams is None:
+        if not self.curvature:
             return self.value, gradient, gradient.new_empty(0)
+        if self.grams is None:  # no pair at all
+            return self.value, gradient, gradient.new_zeros(*gradient.shape, gradient.shape[1])
         grams = self.grams.unflatten(1, (-1, self.grams.shape[2])).expand(-1, 3, -1, -1)
         return self.value, gradient, torch.einsum("rcqp,rcqs->rps", jacobian, grams @ jacobian)
 
