@@ -1,6 +1,7 @@
 """Fitted models in the place of measurements: the records of a `fits.json`, on MERL's bins."""
 
 import importlib.resources
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,19 @@ from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.merl import bin_centers
 from torchbrdf.pairs import Pairs
+from torchbrdf.solvers import Status
+
+# How fits end of which nothing is to be shown.
+FAILED = (Status.NOT_FINITE, Status.NO_DATA, Status.TOO_FEW_SAMPLES, Status.BAD_START, Status.LOST)
+
+
+class FailedFitWarning(UserWarning):
+    """A fit that failed stands in a material's place.
+
+    Example:
+        >>> import warnings
+        >>> warnings.simplefilter("ignore", FailedFitWarning)
+    """
 
 
 @FORMATS.register("fits")
@@ -56,6 +70,10 @@ class StandIn(BrdfFormat):
         origin: list[Path] = []
         for path in paths:
             found = read_fits(path)
+            for record in found:
+                if record.status in FAILED:
+                    failed = f"the fit failed ({record.status}), its parameters say nothing of the material"
+                    warnings.warn(f"{path}: {record.material}: {failed}", FailedFitWarning, stacklevel=2)
             records += found
             origin += [path] * len(found)
         return cls(records, origin)
@@ -81,6 +99,7 @@ class StandIn(BrdfFormat):
         source = record.extra.get("source")
         facts: dict[str, object] = {"model": record.model, "lobes": record.lobes}
         facts |= {"model of": one_line(source)} if isinstance(source, str) else {}
+        facts |= {"status": record.status} if record.status not in ("", Status.CONVERGED) else {}
         facts |= {f"{key} of {scene}": value for scene, own in record.pictures.items() for key, value in own.items()}
         return facts | {"parameters": dict(record.parameters)}
 
