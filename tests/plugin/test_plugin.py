@@ -135,7 +135,7 @@ def test_an_exporter_writes(ran: dict[str, tuple[int, str, Path]]) -> None:
 def test_a_recipe_runs(ran: dict[str, tuple[int, str, Path]]) -> None:
     status, said, folder = ran["recipe"]
     assert (status, said) == (0, "")
-    assert (folder / "report.txt").read_text() == "lobes: abc, ashikhmin_shirley, beckmann\n"
+    assert (folder / "report.txt").read_text() == "lobes: abc, abc_smooth, ashikhmin_shirley\n"
     assert json.loads((folder / "recipe.json").read_text())["settings"]["quick"] is True
 
 
