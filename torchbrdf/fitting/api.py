@@ -24,7 +24,7 @@ from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
 from torchbrdf.fitting.sampling import stratified
-from torchbrdf.fitting.scoring import errors, errors_of_sums
+from torchbrdf.fitting.scoring import errors
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joined, strategy_name
 from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics
 from torchbrdf.fitting.task import Task
@@ -271,17 +271,18 @@ class _FitSome:
 
     def _by_sums(self, part: Lobe, values: ParameterDict, measured: Measured, sums: SufficientStatistics) -> _Fitted:
         """The fits from sufficient statistics: all pairs from the first step on."""
+        objective = QuadraticObjective(sums, self.loss)
         task = Task(
             part,
-            QuadraticObjective(sums, self.loss),
+            objective,
             max_iterations=self.max_iterations,
             under=partial(self._task_under, part, measured),
         )
         outcome = self._run(task, values)
         fitted = with_parameters(part, {name: value.to(values[name]) for name, value in outcome.values.items()})
-        error, values = errors_of_sums(fitted, sums, self.loss), get_parameters(fitted)
+        error, values = objective.errors(fitted), get_parameters(fitted)
         free = task.all_free(self.fit_diffuse)
-        intervals = find_intervals(self.intervals, task.objective, values, free, sums.counts, self.subset.seed)
+        intervals = find_intervals(self.intervals, objective, values, free, sums.counts, self.subset.seed)
         return _Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals)
 
     def _run(self, task: Task, values: ParameterDict) -> Outcome:

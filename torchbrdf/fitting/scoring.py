@@ -6,12 +6,11 @@ import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
-from torchbrdf.fitting.basis import Basis, predictor
+from torchbrdf.fitting.basis import predictor
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.objective import QuadraticObjective
-from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
-from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics
+from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem
@@ -103,16 +102,10 @@ def _from_sums(models: Sequence[Lobe], losses: Sequence[Loss], gathered: Gathere
     found = {}
     for k, loss in enumerate(losses):
         sums = [gathered.find(model, loss) for model in models]
-        if all(one is not None for one in sums):
-            own = [errors_of_sums(model, one, loss) for model, one in zip(models, sums, strict=True) if one is not None]
-            found[k] = torch.stack(own)
+        known = [(model, one) for model, one in zip(models, sums, strict=True) if one is not None]
+        if len(known) == len(models):
+            found[k] = torch.stack([QuadraticObjective(one, loss).errors(model) for model, one in known])
     return found
-
-
-def errors_of_sums(model: Lobe, sums: SufficientStatistics, loss: Loss) -> Tensor:
-    """The errors of a batched model on all pairs under a quadratic loss, `(M,)`, float64, on the CPU."""
-    basis = Basis(Parametrization(model, []))
-    return QuadraticObjective(sums, loss).errors(basis, get_parameters(model))
 
 
 def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> Tensor:

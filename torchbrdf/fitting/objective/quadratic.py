@@ -12,8 +12,10 @@ from torch import Tensor
 
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sufficient_statistics import SufficientStatistics
-from torchbrdf.lobes.parameter_dict import ParameterDict
+from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters
 from torchbrdf.losses import Loss, Problem
 
 # Combinations of a group's factors that vary less than this, relative, are left out: they are not to be seen.
@@ -82,10 +84,11 @@ class QuadraticObjective(GaussNewtonObjective):
         """Itself: no subset costs less."""
         return self
 
-    def errors(self, basis: Basis, values: ParameterDict) -> Tensor:
-        """The errors of all materials, `(M,)`, float64, on the CPU."""
-        every, one = self.material_indices, torch.ones_like(self.zero_prediction_error)
-        return self.loss.finalize(self.evaluate(basis, values, every, one)[0]).cpu()
+    def errors(self, model: Lobe) -> Tensor:
+        """The errors of a batched model on all pairs, `(M,)`, float64, on the CPU."""
+        basis, every = Basis(Parametrization(model, [])), self.material_indices
+        value, *_ = self.evaluate(basis, get_parameters(model), every, torch.ones_like(self.zero_prediction_error))
+        return self.loss.finalize(value).cpu()
 
     def evaluate(
         self,
