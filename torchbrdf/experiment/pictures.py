@@ -19,7 +19,7 @@ from torchbrdf.names import file_stem
 from torchbrdf.parallel import thread_map
 from torchbrdf.progress import Progress, part_of
 from torchbrdf.render import Scene
-from torchbrdf.render.draw import SEVERAL, Brdf, is_reciprocal, render_by_transport, render_directly
+from torchbrdf.render.draw import Brdf, render_by_transport, render_directly, worth_a_transport
 
 # Image differences that reports speak of, by their registered names, and the one that they sort by.
 SHOWN_DIFFERENCES = ("psnr", "ssim", "delta_e76")
@@ -116,8 +116,8 @@ class Pictures:
     def _render(self) -> Callable[..., Tensor]:
         """How all pictures are drawn: alike, as they are compared."""
         models = [make_model(name, lobe_count(name, self.grid.lobes[0])) for name in self.grid.models]
-        several = len(self.grid.materials) * (1 + len(models) * len(self.grid.losses)) >= SEVERAL
-        together = several and all(is_reciprocal(one) for own in (self.grid.groups, models) for one in own)
+        pictures = len(self.grid.materials) * (1 + len(models) * len(self.grid.losses))
+        together = worth_a_transport([*self.grid.groups, *models], pictures)
         return render_by_transport if together else render_directly
 
     def _references(self, *parts: str) -> list[tuple[Brdf, list[str]]]:

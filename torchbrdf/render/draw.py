@@ -1,6 +1,6 @@
 """From a BRDF and a scene to a picture."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import zip_longest
 
@@ -56,11 +56,14 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     if not brdfs:
         raise UsageError("render: expected at least one BRDF, found none")
     known = [one for one in brdfs if isinstance(one, Lobe | Measured)]
-    if len(known) < len(brdfs) or sum(_pictures(one) for one in known) < SEVERAL:
-        return render_directly(brdfs, scene, progress)
-    if not all(is_reciprocal(one) for one in known):
-        return render_directly(brdfs, scene, progress)
-    return render_by_transport(known, scene, progress)
+    if len(known) == len(brdfs) and worth_a_transport(known, sum(map(_pictures, known))):
+        return render_by_transport(known, scene, progress)
+    return render_directly(brdfs, scene, progress)
+
+
+def worth_a_transport(brdfs: Iterable[Lobe | Measured], pictures: int) -> bool:
+    """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be."""
+    return pictures >= SEVERAL and all(map(is_reciprocal, brdfs))
 
 
 def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
