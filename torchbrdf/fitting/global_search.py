@@ -108,7 +108,7 @@ class GlobalSearch:
                 task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
             )
             by_dictionary = _Candidates(materials.repeat(self.starts), found, free, self.same)
-            if most_shape_parameters(task.model) < 2:
+            if most_shape_parameters(task.model) < 2 or not coarse.starts_are_cheap:
                 return by_dictionary
         found = quasi_random_starts(free, values, self.quasi_random)
         candidates = _Candidates(materials.repeat(self.quasi_random), found, free, self.same)

@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from torchbrdf.export import EXPORTERS, Exported, export
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, Lobe, model_of
 from torchbrdf.measured import Measured, check, load_all
+from torchbrdf.parallel import thread_map
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.registry import unknown
 from torchbrdf.render import Scene, cache_folder
@@ -95,11 +97,12 @@ def _finish_all(
     names = [one.material for one in matches]
     own = names if folder is None else stems(folder, names)
     unwritten: list[TorchbrdfError] = []
-    finished = [_finish(one, stem, target, folder, unwritten) for one, stem in zip(matches, own, strict=True)]
+    finished = [*thread_map(lambda one: _finish(*one, target, folder, unwritten), list(zip(matches, own, strict=True)))]
     if bad is not None:
         bad += unwritten
     if folder is not None and finished:  # what an earlier match left stays where this one finds nothing
-        entries, blocks = [entry(one, target) for one in finished], [block_of(one, target) for one in finished]
+        entries = [entry(one, target) for one in finished]
+        blocks = [*thread_map(partial(block_of, target=target), finished)]
         add(folder, entries, blocks, [str(error) for error in bad or []])
     if unwritten and bad is None:
         raise unwritten[0]

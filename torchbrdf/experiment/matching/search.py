@@ -17,6 +17,7 @@ from torchbrdf.lobes import FitRecord
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.tables import measured_up_to
+from torchbrdf.parallel import thread_map
 from torchbrdf.progress import Progress, part_of, quiet
 from torchbrdf.render import Scene, unseen_scenes
 
@@ -233,12 +234,18 @@ def _try(candidate: Candidate, loss: Loss, place: Path | None, entries: list[_En
     parts = [seen_by(loss, part) for part in parts]
     batches = Batches(candidate.make(), loss, out=place, diffuse="fit", max_theta=MAX_THETA)
     records = batches.run(parts, progress)
-    for entry, record in zip([one for own in groups.values() for one in own], records, strict=True):
-        figures = entry.match.judge.figures(record)
+    judged = list(zip([one for own in groups.values() for one in own], records, strict=True))
+    for (entry, record), figures in zip(judged, thread_map(_judge, judged), strict=True):
         if record.error < math.inf and all(one.delta_e76 < math.inf for one in figures.values()):
             entry.match.tried.append(Tried(candidate, record, figures))
         else:
             entry.reason = record.reason or record.status
+
+
+def _judge(one: tuple[_Entry, FitRecord]) -> Mapping[str, Figures]:
+    """How far the pictures of a fit are from those of its material."""
+    entry, record = one
+    return entry.match.judge.figures(record)
 
 
 def to_json(one: Tried, chosen: bool) -> dict[str, Any]:

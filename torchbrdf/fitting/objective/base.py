@@ -80,6 +80,9 @@ class FitObjective(ABC):
 class GaussNewtonObjective(FitObjective):
     """An objective with curvature, of models that are sums of colours times scalar functions."""
 
+    starts_are_cheap: ClassVar[bool] = True
+    """Whether a few starts more cost little: there are coarse ones of it that cost little."""
+
     @property
     @abstractmethod
     def target_scale(self) -> Tensor:

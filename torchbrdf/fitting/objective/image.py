@@ -21,6 +21,7 @@ class ImageObjective(GaussNewtonObjective):
 
     ftol = 1e-6
     fmin = 1e-10
+    starts_are_cheap = False
     loss: ImageLoss
 
     def __init__(self, problem: Problem, loss: ImageLoss) -> None:
