@@ -69,6 +69,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def on_the_site(link: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(folder, link[1]))
+        target = re.sub(r"^(docs/examples/\w+)\.py$", r"\1.md", target)  # the page that is made of a script
         target = IN_REPOSITORY.get(target, target.removeprefix("docs/"))
         if files.get_file_from_path(target) is None:
             return link[0]

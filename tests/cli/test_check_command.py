@@ -25,6 +25,14 @@ def test_it_says_what_is_odd_and_draws_it(paint, tmp_path, capsys):
     assert (out / "albedo.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_it_says_which_of_several_models_of_a_material(tmp_path, capsys):
+    assert main(["check", "zoo:nickel", "zoo:nickel:gltf", "--out", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    labels = ["nickel: GGX, 2 lobes (model)", "nickel: glTF (model)"]
+    assert [one for one in labels if any(line.startswith(one) for line in lines)] == labels
+    assert [one["label"] for one in json.loads((tmp_path / "check.json").read_text())] == labels
+
+
 def test_bad_files_do_not_spoil_the_others(paint, tmp_path, capsys):
     bad = tmp_path / "broken.json"
     bad.write_text("[{")

@@ -15,7 +15,7 @@ from torchbrdf.lobes.separable import columns
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import load, standins
 from torchbrdf.pairs import Pairs
-from torchbrdf.recipe import RunFolder
+from torchbrdf.recipe import RECIPES, RunFolder, configure
 
 
 class Whole(Lobe):
@@ -60,6 +60,25 @@ def test_a_grid_of_models_of_all_sorts(tmp_path: Path, monkeypatch: pytest.Monke
     again = FitGrid(grid.folder, grid.groups, models, grid.losses, lobes=(2, 3), max_theta=20.0, samples=200)
     again.fit()
     assert again.records == grid.records
+
+
+def every_model() -> list[str]:
+    """All lobes and whole materials, and every diffuse term with a lobe."""
+    return [name if not kind.is_diffuse else f"{name}+ward" for name, kind in LOBES.items()]
+
+
+def test_a_grid_of_every_model(tmp_path: Path) -> None:
+    few = load(standins()).batch([7], samples=torch.arange(0, 1_458_000, 9_973))
+    losses = {"compressed": CompressedLoss()}
+    grid = FitGrid(RunFolder(tmp_path), [few], every_model(), losses, lobes=(1,), strategy="staged")
+    grid.fit()
+    assert [record.model for record in grid.shown] == every_model()
+    assert all(math.isfinite(record.error) for record in grid.shown)
+
+
+@pytest.mark.parametrize("recipe", ["fores2012", "image_vs_analytic"])
+def test_recipes_take_every_model(recipe: str) -> None:
+    assert configure(RECIPES[recipe], {"models": ",".join(every_model())}).models == tuple(every_model())
 
 
 def test_a_grid_refuses_what_is_no_model(tmp_path: Path) -> None:

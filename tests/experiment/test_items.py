@@ -6,11 +6,12 @@ import pytest
 
 from torchbrdf.experiment.items import distinct_stems, list_items
 from torchbrdf.experiment.labels import loss_label, model_label
-from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.lobes import GGX, FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
 from torchbrdf.measured.load import number_repeats
 
 DULL = parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4)))
+MADE_UP = [("global", {}), ("", {"source": "somebody's measurement"})]
 
 
 def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
@@ -30,6 +31,23 @@ def test_a_measurement_comes_before_its_stand_in(merl_file, tmp_path):
         "made-up-ward-1-lobe-log-global-2",
         "made-up",
     ]
+
+
+def test_models_of_one_material_say_which_they_are(merl_file, tmp_path):
+    """A model of what was measured, such as the zoo's, is no stand-in, and is compared with it."""
+    lobes = parameters(Sum(Lambert(albedo=0.3), GGX(), GGX()))
+    write_fits(tmp_path / "fits.json", [FitRecord("a", "ward", 1, DULL), FitRecord("a", "ggx", 2, lobes)])
+    items = list_items(load_all([tmp_path / "fits.json", "zoo:nickel", "zoo:nickel:gltf"]))
+    assert [(item.label, item.stem, item.reference) for item in items] == [
+        ("a: Ward, 1 lobe (stand-in)", "a-ward-1-lobe", None),
+        ("a: GGX, 2 lobes (stand-in)", "a-ggx-2-lobes", None),
+        ("nickel: GGX, 2 lobes (model)", "nickel-ggx-2-lobes", None),
+        ("nickel: glTF (model)", "nickel-gltf", None),
+    ]
+    made = [FitRecord("made-up", "ward", 1, DULL, strategy=how, extra=said) for how, said in MADE_UP]
+    write_fits(tmp_path / "fits.json", made)
+    assert [item.reference for item in list_items(load_all([tmp_path / "fits.json"]))] == [1, None]
+    assert [item.reference for item in list_items(load_all([tmp_path / "fits.json", merl_file]))] == [2, 2, None]
 
 
 def test_labels_are_told_apart_by_numbers():

@@ -21,7 +21,7 @@ from torchbrdf.lobes import FitRecord, Lambert, Sum, read_fits
 from torchbrdf.losses import CompressedLoss
 from torchbrdf.measured import Measured, load, standins
 from torchbrdf.pairs import Pairs
-from torchbrdf.perception import uniform_pairs
+from torchbrdf.perception import told_apart, uniform_pairs
 from torchbrdf.render import Scene, sphere
 
 TINY = Budget("tiny", (Candidate("ggx", 1), Candidate("ward", 1)), None, size=8, views=1, all_of_them=True)
@@ -60,10 +60,10 @@ def test_the_simplest_that_cannot_be_told_or_the_best(fits, expected):
     assert len(order) == len(made) and rest == sorted(rest)
 
 
-def test_who_cannot_tell_guesses():
-    figures = Figures({"delta_e76": 1.4})
-    assert figures.picked_out.value == pytest.approx((1 + figures.told.value) / 2)
-    assert Figures({"delta_e76": 0.0}).picked_out.value == 0.5
+def test_shares_are_those_of_all_commands():
+    """Who guesses is not counted."""
+    assert Figures({"delta_e76": 1.4}).told == told_apart("delta_e76", 1.4)
+    assert Figures({"delta_e76": 0.0}).told.value == 0
 
 
 def test_budgets():

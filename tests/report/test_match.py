@@ -50,7 +50,7 @@ def test_it_writes_a_material_a_page_and_a_list(written):
         assert entry["model"] == one.chosen.record.model and entry["parameters"] == one.chosen.record.parameters
         assert set(entry["scenes"]) == {"ball", "ball & <light>"}
         for figures in entry["scenes"].values():
-            assert {"delta_e76", "delta_e_itp", "told_apart", "picked_out"} <= set(figures)
+            assert {"delta_e76", "delta_e_itp", "told_apart"} <= set(figures)
         assert [tried["model"] for tried in entry["candidates"]] == ["ggx", "ward"]
         assert [tried["chosen"] for tried in entry["candidates"]].count(True) == 1
         assert entry["files"][0] == f"{entry['material']}.xml" and entry["where"]

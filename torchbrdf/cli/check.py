@@ -1,6 +1,7 @@
 """`torchbrdf check`."""
 
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say
@@ -31,6 +32,7 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf check`."""
+    from torchbrdf.experiment.items import list_items
     from torchbrdf.files import destination, writable, write_json
     from torchbrdf.measured import check
     from torchbrdf.report.figures import albedo_figure
@@ -39,10 +41,12 @@ def command(options: Options) -> int:
     names = [destination(out / name) for name in ("albedo.png", "check.json")] if out else []
     groups, complete = load_files(options.files)
     found: list[Plausibility] = []
+    written: list[dict[str, object]] = []
     todo = [group.batch([k]) for group in groups for k in range(len(group))]
+    labels = [item.label for item in list_items(groups)]
     progress = progress_bar("materials")
-    width = max((len(one.names[0]) for one in todo), default=0)
-    for k, material in enumerate(todo):
+    width = max((len(label) for label in labels), default=0)
+    for k, (material, label) in enumerate(zip(todo, labels, strict=True)):
         try:
             (one,) = check(material)
         except DataError as error:
@@ -53,15 +57,16 @@ def command(options: Options) -> int:
             say(f"{'material':{width}s}  albedo at 0   largest       not reciprocal  lowest, 1/sr")
         largest, angle = one.largest_albedo
         say(
-            f"{one.name:{width}s}  {max(one.albedo[0]):11.3f}   {largest:.3f} at {angle:2.0f}  "
+            f"{label:{width}s}  {max(one.albedo[0]):11.3f}   {largest:.3f} at {angle:2.0f}  "
             f"{100 * one.reciprocity:12.1f} %  {one.lowest:12.3g}"
         )
         for warning in one.warnings():
             say(f"{'':{width}s}  ! {warning}")
-        found.append(one)
+        found.append(replace(one, name=label))
+        written.append({"label": label, **one.to_dict()})
         progress(k + 1, len(todo))
     if names and found:
         albedo_figure(names[0], found)
-        write_json(names[1], [one.to_dict() for one in found])
+        write_json(names[1], written)
         say(*names)
     return 0 if complete and found else 1

@@ -16,6 +16,8 @@ fit saw: a sphere in a studio, a torus in a low sun, a knot in a room. With --ou
 match.html to look at them, and match.json with all numbers. What is there already is not fitted again.
 """
 
+GUESSES = "Who would pick a match out knows which of two is the fit; the others guess, and are not counted."
+
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
@@ -55,6 +57,8 @@ def command(options: Options) -> int:
         say(one.sentence)
         say(*(f"  ! {line}" for line in one.warnings), *(f"  {note}" for note in one.notes))
         say(*(f"  {path}" for path in one.files))
+    if found:
+        say(GUESSES)
     if found and options.out:
         from pathlib import Path
 

@@ -10,6 +10,9 @@ from torchbrdf.lobes.parameter_dict import ParameterDict
 def quasi_random_starts(free: Parametrization, values: ParameterDict, count: int) -> ParameterDict:
     """Starts spread evenly over the bounds, on the scale of the solver; the same in every run.
 
+    All channels of a parameter start alike: they are of one material, and where channels have shapes of their own, one
+    at random seldom suits all three.
+
     Args:
         free: what is moved.
         values: the parameters of each of M materials, of which those that are not moved are kept.
@@ -29,7 +32,8 @@ def quasi_random_starts(free: Parametrization, values: ParameterDict, count: int
     """
     materials, like = len(next(iter(values.values()))), next(iter(values.values()))
     lower, upper = free.limits()
-    unit = SobolEngine(len(lower), scramble=True, seed=0).draw(count, dtype=torch.float64)
+    unit = SobolEngine(len(free.free), scramble=True, seed=0).draw(count, dtype=torch.float64)
+    unit = torch.cat([unit[:, k : k + 1].expand(-1, one.width) for k, one in enumerate(free.free)], 1)
     points = (lower + unit * (upper - lower)).to(like.device).repeat_interleave(materials, 0)
     every = {name: value.repeat(count, *[1] * (value.dim() - 1)) for name, value in values.items()}
     return every | free.decode(points, like.dtype)

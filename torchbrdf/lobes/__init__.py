@@ -1,7 +1,7 @@
 """What a BRDF is made of: lobes, as functions of Pairs and as torch modules. A lobe a file."""
 
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
-from torchbrdf.lobes.abc_distribution import LowABC, abc, dielectric
+from torchbrdf.lobes.abc_distribution import LowABC, abc
 from torchbrdf.lobes.abc_smooth import LowABCSmooth, abc_smooth
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
 from torchbrdf.lobes.ashikhmin_shirley_ior import AshikhminShirleyIOR, ashikhmin_shirley_ior
@@ -14,7 +14,7 @@ from torchbrdf.lobes.cook_torrance_ior import CookTorranceIOR, cook_torrance_ior
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.duer import Duer, duer
 from torchbrdf.lobes.eon import EON, eon
-from torchbrdf.lobes.fresnel import conductor, schlick
+from torchbrdf.lobes.fresnel import conductor, dielectric, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
 from torchbrdf.lobes.gltf import GLTF, gltf

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import tangent
-from torchbrdf.lobes.abc_distribution import dielectric, dielectric_derivative
 from torchbrdf.lobes.base import Lobe
+from torchbrdf.lobes.fresnel import dielectric, dielectric_derivative
 from torchbrdf.lobes.ggx import ggx_distribution
 from torchbrdf.lobes.separable import Slopes
 from torchbrdf.pairs import Pairs

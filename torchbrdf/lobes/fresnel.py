@@ -1,4 +1,4 @@
-"""Fresnel's reflectance: Schlick's approximation, and that of metals."""
+"""Fresnel's reflectance: Schlick's approximation, and that of metals and of dielectrics."""
 
 import torch
 from torch import Tensor
@@ -95,3 +95,47 @@ def conductor(eta: Tensor, k: Tensor, cos_d: Tensor) -> Tensor:
     along = square * length + sine.square()
     along = (along - cross * sine) / (along + cross * sine)
     return 0.5 * across * (1 + along)
+
+
+def dielectric(ior: Tensor, cos_d: Tensor) -> Tensor:
+    """Fresnel's reflectance of unpolarized light for a real index of refraction n.
+
+    1/2 a^2 (1 + b^2), with g^2 = n^2 - 1 + cos_d^2, a = (g - cos_d) / (g + cos_d) and
+    b = (cos_d (g + cos_d) - 1) / (cos_d (g - cos_d) + 1).
+
+    Args:
+        ior: n, from 1 on; broadcasts against cos_d.
+        cos_d: cosine of the angle of incidence.
+
+    Returns:
+        The reflectance, in [0, 1].
+
+    Source: R. Cook and K. Torrance, A Reflectance Model for Computer Graphics, 1982, doi:10.1145/357290.357293.
+
+    Example:
+        >>> import torch
+        >>> from torchbrdf.lobes import dielectric
+        >>> dielectric(torch.tensor(1.5), torch.tensor([1.0, 0.5, 0.0]))
+        tensor([0.0400, 0.0892, 1.0000])
+    """
+    _, a, b = _fresnel_terms(ior, cos_d)
+    return 0.5 * a.square() * (1 + b.square())
+
+
+def dielectric_derivative(ior: Tensor, cos_d: Tensor) -> Tensor:
+    """The derivative of `dielectric` by n."""
+    g, a, b = _fresnel_terms(ior, cos_d)
+    # Derivatives by g; that of g by the index is n / g.
+    slope_a = 2 * cos_d / (g + cos_d).square()
+    slope_b = 2 * cos_d * (1 - cos_d.square()) / (cos_d * (g - cos_d) + 1).square()
+    slope = a * (1 + b.square()) * slope_a + a.square() * b * slope_b
+    return slope * (ior / g)
+
+
+def _fresnel_terms(ior: Tensor, cos_d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """g, a and b of `dielectric`; g - cos_d is (n^2 - 1) / (g + cos_d), which cancels nothing."""
+    excess = (ior - 1) * (ior + 1)
+    g = (excess + cos_d.square()).clamp_min(1e-12).sqrt()
+    total = g + cos_d
+    less = excess / total
+    return g, less / total, (cos_d * total - 1) / (cos_d * less + 1)

@@ -9,9 +9,9 @@ from torch import Tensor
 from torchbrdf.lobes._he_series import he_series, he_series_and_derivatives, lambert_w
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, log_secant
 from torchbrdf.lobes._smith import beckmann_masked
-from torchbrdf.lobes.abc_distribution import dielectric, dielectric_derivative
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
+from torchbrdf.lobes.fresnel import dielectric, dielectric_derivative
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,12 +12,15 @@ from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import schlick_weight
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.separable import Slopes
 from torchbrdf.pairs import Pairs
 
 # Below this a product of cosines no longer changes a quotient.
 PRODUCT_FLOOR = 1e-13
 # An exponent of the shadowing beyond which it is complete: exp(exp(3)) is 5e8.
 COMPLETE = 3.0
+# Radians from where shadowing begins; that the logarithm of less is not asked for.
+LEAST_ANGLE = 1e-30
 
 
 @half_in_float32
@@ -70,21 +73,84 @@ def shifted_gamma(
         >>> shifted_gamma(Pairs.from_half_diff(angle, angle, angle), *starts)
         tensor([[0.0053, 0.0053, 0.0053]])
     """
-    alpha, p, steepness = alpha[..., None, :], p[..., None, :], steepness[..., None, :]
-    f0, f1 = f0[..., None, :], f1[..., None, :]
-    shadow, reach, onset = shadow[..., None, :], reach[..., None, :], onset[..., None, :]
-    shifted = alpha + tangent(pairs)[..., None] / alpha
+    found = _lit_facets(pairs, alpha, p).value * _reflected(pairs, f0, f1).clamp_min(0)
+    for name, cosine in _directions(pairs):
+        found = found * _seen(pairs, name, cosine, shadow, reach, steepness, onset).value
+    return found.mT * (specular * normalization)[..., None, :]
+
+
+class _Facets(NamedTuple):
+    """D / (pi cos_i cos_o) and its t, of each channel, `(..., C, N)`."""
+
+    value: Tensor
+    shifted: Tensor
+    log_shifted: Tensor
+
+
+def _lit_facets(pairs: Pairs, alpha: Tensor, p: Tensor) -> _Facets:
+    shifted = alpha[..., None] + tangent(pairs)[..., None, :] / alpha[..., None]
+    log_shifted = shifted.log()
     # cos_h^-4 = (1 + tan2_h)^2 goes into the exponent, so that 0 * inf cannot come up at grazing half vectors.
-    facets = clamped_exp(2 * log_secant(pairs)[..., None] - shifted - p * shifted.log())
-    fresnel = (f0 + (1 - f0) * schlick_weight(pairs)[..., None] - f1 * pairs.cos_d[..., None]).clamp_min(0)
-    lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
-    for name, cosine in (("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)):
-        theta = pairs.cached(_angle, partial(_angle, cosine), name)[..., None]
-        # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
-        power = steepness * ((theta - onset).clamp_min(1e-30) / reach).log()
-        facets = facets * (1 - shadow * torch.expm1(power.clamp_max(COMPLETE).exp())).clamp_min(0)
-    shape = facets * fresnel * torch.where(pairs.above_horizon, lit, 0)[..., None]
-    return shape * (specular * normalization)[..., None, :]
+    facets = clamped_exp(2 * log_secant(pairs)[..., None, :] - shifted - p[..., None] * log_shifted)
+    return _Facets(facets * _lit(pairs)[..., None, :], shifted, log_shifted)
+
+
+def _lit(pairs: Pairs) -> Tensor:
+    """1 / (pi^2 cos_i cos_o), 0 below the horizon."""
+
+    def make() -> Tensor:
+        lit = 1 / (math.pi**2 * (pairs.cos_i * pairs.cos_o).clamp_min(PRODUCT_FLOOR))
+        return torch.where(pairs.above_horizon, lit, 0)
+
+    return pairs.cached(_lit, make)
+
+
+def _reflected(pairs: Pairs, f0: Tensor, f1: Tensor) -> Tensor:
+    """F of each channel, which may be below 0, `(..., C, N)`."""
+    f0, f1 = f0[..., None], f1[..., None]
+    return f0 + (1 - f0) * schlick_weight(pairs)[..., None, :] - f1 * pairs.cos_d[..., None, :]
+
+
+def _directions(pairs: Pairs) -> tuple[tuple[str, Tensor], ...]:
+    return ("theta_i", pairs.cos_i), ("theta_o", pairs.cos_o)
+
+
+class _Seen(NamedTuple):
+    """G of one direction, of each channel, and what its derivatives are made of, `(..., C, N)`.
+
+    beyond: theta - theta0; log: of it over the reach; power: k times that; grown: its exp; fall: expm1 of that.
+    """
+
+    value: Tensor
+    beyond: Tensor
+    log: Tensor
+    power: Tensor
+    grown: Tensor
+    fall: Tensor
+
+
+def _seen(
+    pairs: Pairs, name: str, cosine: Tensor, shadow: Tensor, reach: Tensor, steepness: Tensor, onset: Tensor
+) -> _Seen:
+    theta = pairs.cached(_angle, partial(_angle, cosine), name)[..., None, :]
+    # The floor keeps the logarithm finite; to any power from 1 on it is nothing.
+    beyond = (theta - onset[..., None]).clamp_min(LEAST_ANGLE)
+    log = (beyond / reach[..., None]).log()
+    power = steepness[..., None] * log
+    grown = power.clamp_max(COMPLETE).exp()
+    fall = torch.expm1(grown)
+    return _Seen((1 - shadow[..., None] * fall).clamp_min(0), beyond, log, power, grown, fall)
+
+
+def _seen_slopes(
+    seen: _Seen, shadow: Tensor, reach: Tensor, steepness: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The derivatives of G by shadow, reach, steepness and onset; nothing where it is clamped."""
+    shadow, reach, steepness = shadow[..., None], reach[..., None], steepness[..., None]
+    there = seen.value > 0
+    rate = torch.where(there & (seen.power < COMPLETE), -shadow * (seen.fall + 1) * seen.grown, 0)
+    by_onset = torch.where(seen.beyond > LEAST_ANGLE, rate * (-steepness / seen.beyond), 0)
+    return torch.where(there, -seen.fall, 0), rate * (-steepness / reach), rate * seen.log, by_onset
 
 
 def _angle(cosine: Tensor) -> Tensor:
@@ -140,6 +206,25 @@ class ShiftedGamma(Lobe):
         one = torch.ones_like(alpha)
         found = shifted_gamma(pairs, one, alpha, p, one, f0, f1, shadow, reach, steepness, onset)
         return list(found.unbind(-1))
+
+    @classmethod
+    def terms_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> tuple[list[Tensor], Slopes]:
+        """By the product rule; dt/dalpha = 2 - t / alpha, d log D/dt = -1 - p / t, d log D/dp = -log t."""
+        alpha, p, f0, f1, shadow, reach, steepness, onset = scalars
+        facets, raw = _lit_facets(pairs, alpha, p), _reflected(pairs, f0, f1)
+        one, other = (_seen(pairs, *way, shadow, reach, steepness, onset) for way in _directions(pairs))
+        lit = facets.value * raw.clamp_min(0)
+        value, unreflected = lit * (one.value * other.value), facets.value * (one.value * other.value)
+        unreflected = torch.where(raw > 0, unreflected, 0)
+        of_one, of_other = (_seen_slopes(seen, shadow, reach, steepness) for seen in (one, other))
+        slopes = [
+            value * (-1 - p[..., None] / facets.shifted) * (2 - facets.shifted / alpha[..., None]),
+            -value * facets.log_shifted,
+            unreflected * (1 - schlick_weight(pairs))[..., None, :],
+            -unreflected * pairs.cos_d[..., None, :],
+            *(lit * (a * other.value + one.value * b) for a, b in zip(of_one, of_other, strict=True)),
+        ]
+        return list(value.unbind(-2)), [list(slope.unbind(-2)) for slope in slopes]
 
     @classmethod
     def coefficients(cls, **parameters: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ def match(
         >>> nickel = load(standins()).batch([6])
         >>> (found,) = torchbrdf.match(nickel, budget="quick")  # doctest: +SKIP
         >>> print(found.sentence)  # doctest: +SKIP
-        nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 56 % of observers would ...
+        nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 12 % of observers would ...
     """
     if target not in EXPORTERS:
         raise unknown("target", target, EXPORTERS)

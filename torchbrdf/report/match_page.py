@@ -11,7 +11,7 @@ from torch import Tensor
 from torchbrdf.experiment.labels import difference_label, loss_label
 from torchbrdf.experiment.matching import Figures, Match, Tried
 from torchbrdf.experiment.matching.candidates import so_many
-from torchbrdf.experiment.matching.judge import Brdf, Means, picked_out
+from torchbrdf.experiment.matching.judge import Brdf, Means
 from torchbrdf.experiment.matching.shortfall import Angles, Part
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, color_difference
 from torchbrdf.files import write_text
@@ -63,9 +63,9 @@ class Finished:
 
     @property
     def sentence(self) -> str:
-        """The match in one line."""
+        """The match in one line; who would pick it out knows which is the fit, as wherever a share is printed."""
         means, scenes = self.means, so_many(len(self.figures), "scene")
-        beside = f"about {picked_out(means.told).percent} of observers would pick it out beside the original"
+        beside = f"about {means.told.percent} of observers would pick it out beside the original"
         return (
             f"{self.match.material} as {self.chosen.candidate.label}: Delta E {means.mean:.1f} "
             f"({means.low:.1f} to {means.high:.1f} over {scenes}); {beside}"
@@ -80,9 +80,9 @@ class Row:
     loss: str
     delta: list[str]
     mean: str
-    picked: str
     seconds: str
     chosen: bool
+    told: str = ""  # which pages of an earlier version had in other terms
 
 
 @dataclass(frozen=True)
@@ -180,9 +180,9 @@ def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> Row:
         loss=loss_label(tried.record.loss),
         delta=[f"{tried.figures[name].delta_e76:.2f}" for name in scenes],
         mean=f"{means.mean:.2f}",
-        picked=picked_out(means.told).percent,
         seconds=f"{tried.record.seconds:.1f} s",
         chosen=chosen,
+        told=means.told.percent,
     )
 
 

@@ -28,8 +28,8 @@ class Figures:
         differences: By the name of an image difference.
 
     Example:
-        >>> Figures({"delta_e76": 1.4}).picked_out.percent
-        '59 %'
+        >>> Figures({"delta_e76": 1.4}).told.percent
+        '18 %'
     """
 
     differences: Mapping[str, float]
@@ -41,28 +41,18 @@ class Figures:
 
     @property
     def told(self) -> Share:
-        """The share of observers who would know which is the fit."""
+        """The share of observers who would know which is the fit; the others guess."""
         return told(self.delta_e76)
 
-    @property
-    def picked_out(self) -> Share:
-        """The share who would point at the fit: those who know, and half of the others, who guess."""
-        return picked_out(self.told)
-
     def to_json(self) -> dict[str, float]:
-        """Differences, and shares by the one that decides."""
-        return {**self.differences, "told_apart": self.told.value, "picked_out": self.picked_out.value}
+        """Differences, and the share by the one that decides."""
+        return {**self.differences, "told_apart": self.told.value}
 
 
 def told(delta_e76: float) -> Share:
     """The share of observers who would know the fit by a Delta E 76."""
     found = told_apart(DECIDES, delta_e76)
     return Share(math.nan, math.nan, math.nan, asked=False) if found is None else found
-
-
-def picked_out(share: Share) -> Share:
-    """The share who would point at the fit if they have to choose: half of those who do not know it, too."""
-    return Share((1 + share.value) / 2, (1 + share.low) / 2, (1 + share.high) / 2, share.asked)
 
 
 class Judge:
