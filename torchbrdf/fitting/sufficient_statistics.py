@@ -7,17 +7,16 @@ terms at as many probes, pairs of the group that tell the B_j apart, so that lob
 MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-import scipy.linalg
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.pair_factors import Groups, Probes, candidates, factor_kinds, factors_of, pivots
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
@@ -26,34 +25,6 @@ from torchbrdf.parallel import Lost
 
 # Pairs of a group, on average, from which on sums are worth their pass.
 LEAST_PAIRS = 64
-# Pairs of a group of which its probes are chosen.
-_CANDIDATES = 64
-
-
-@dataclass(frozen=True)
-class Groups:
-    """Pairs by theta_h: an index that sorts them, None where they are sorted, and where each group begins and ends."""
-
-    order: Tensor | None
-    bounds: list[int]
-
-    @classmethod
-    def of(cls, pairs: Pairs) -> "Groups | None":
-        """None where there are too many for sums to be worth their while, or materials have pairs of their own."""
-        if len(pairs.shape) != 2 or pairs.shape[0] != 1 or not len(pairs):
-            return None
-        angle, order = pairs.tan2_h[0], None
-        counts = torch.unique_consecutive(angle, return_counts=True)[1]
-        if len(counts) * LEAST_PAIRS > len(pairs):
-            order = angle.argsort(stable=True)
-            counts = torch.unique_consecutive(angle[order], return_counts=True)[1]
-        if len(counts) * LEAST_PAIRS > len(pairs):
-            return None
-        return cls(order, [0, *counts.cumsum(0).tolist()])
-
-    def __iter__(self) -> Iterator[slice | Tensor]:
-        for start, stop in zip(self.bounds, self.bounds[1:], strict=False):
-            yield slice(start, stop) if self.order is None else self.order[start:stop]
 
 
 @dataclass(frozen=True)
@@ -61,8 +32,8 @@ class SufficientStatistics:
     """What is left of M materials under one loss: sums over each of G groups.
 
     Args:
-        kinds: of the lobes whose J factors B these are.
-        probes: P of each group, `(1, G P)`, float64.
+        own: where the lobes of each kind are evaluated; of all kinds together there are J factors B.
+        probes: P of each group, `(1, G P)`, float64, which tell all factors apart, for functions of any kind.
         at_probes: the factors there, `(G, J, P)`, float64 as all that follows.
         gram: sum w B B', `(M, G, J, J)`; w is the weight times the square of what the loss multiplies values by.
         right: sum w t B, `(M, G, J, 3)`.
@@ -71,7 +42,7 @@ class SufficientStatistics:
         counts: how many values count, `(M,)`.
     """
 
-    kinds: tuple[type[Lobe], ...]
+    own: dict[type[Lobe], Probes]
     probes: Pairs
     at_probes: Tensor
     gram: Tensor
@@ -82,39 +53,31 @@ class SufficientStatistics:
 
     def select(self, rows: Sequence[int] | Tensor) -> "SufficientStatistics":
         """Those of some materials."""
-        own = (one[rows] for one in (self.gram, self.right, self.zero, self.total, self.counts))
-        return SufficientStatistics(self.kinds, self.probes, self.at_probes, *own)
+        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_MATERIALS})
 
     def of_kinds(self, kinds: Sequence[type[Lobe]]) -> "SufficientStatistics":
         """Those of some kinds of lobes."""
-        wide = self.probes.select(samples=slice(1))
-        sizes = [len(kind.pair_factors(wide)) for kind in self.kinds]
-        starts = {kind: sum(sizes[:k]) for k, kind in enumerate(self.kinds)}
-        chosen = [starts[kind] + j for kind in kinds for j in range(sizes[self.kinds.index(kind)])]
-        return SufficientStatistics(
-            tuple(kinds),
-            self.probes,
-            self.at_probes[:, chosen],
-            self.gram[:, :, chosen][..., chosen],
-            self.right[:, :, chosen],
-            self.zero,
-            self.total,
-            self.counts,
+        chosen, start = dict[type[Lobe], list[int]](), 0
+        for kind, own in self.own.items():
+            size = own.inverse.shape[1]
+            chosen[kind] = list(range(start, start + size))
+            start += size
+        rows = [j for kind in kinds for j in chosen[kind]]
+        return replace(
+            self,
+            own={kind: self.own[kind] for kind in kinds},
+            at_probes=self.at_probes[:, rows],
+            gram=self.gram[:, :, rows][..., rows],
+            right=self.right[:, :, rows],
         )
 
     @classmethod
     def joined(cls, parts: Sequence["SufficientStatistics"]) -> "SufficientStatistics":
         """Those of several batches of materials as one."""
-        first = parts[0]
-        names = ("gram", "right", "zero", "total", "counts")
-        sums = (torch.cat([getattr(part, name) for part in parts]) for name in names)
-        return cls(first.kinds, first.probes, first.at_probes, *sums)
+        return replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in _OF_MATERIALS})
 
 
-def factor_kinds(model: Lobe) -> list[type[Lobe]]:
-    """The kinds of a model's lobes; none, if one of them has no `pair_factors`."""
-    kinds = list(dict.fromkeys(type(lobe) for lobe in model.components()))
-    return kinds if all(kind.has_pair_factors() for kind in kinds) else []
+_OF_MATERIALS = ("gram", "right", "zero", "total", "counts")
 
 
 class Gathered:
@@ -164,7 +127,7 @@ class Gathered:
     @cached_property
     def _by_loss(self) -> dict[int, SufficientStatistics]:
         """By the losses' identities."""
-        groups = Groups.of(self.measured.pairs)
+        groups = Groups.of(self.measured.pairs, LEAST_PAIRS)
         if groups is None:
             return {}
         found = [part for _, part in parallel_map(partial(_gathered, self.losses, self.kinds), self.measured)]
@@ -179,7 +142,7 @@ def _gathered(
 ) -> list[SufficientStatistics]:
     """Of some materials, for each loss."""
     problem = Problem(measured.pairs, measured.values, measured.weight)
-    groups = Groups.of(problem.pairs)
+    groups = Groups.of(problem.pairs, LEAST_PAIRS)
     assert groups is not None
     return gather_statistics(problem, losses, kinds, groups)
 
@@ -192,19 +155,20 @@ def gather_statistics(
     probes, at_probes = [], []
     for index, start in zip(groups, groups.bounds, strict=False):
         pairs = problem.pairs.select(samples=index)
-        factors = _factors(kinds, pairs)
+        wide = pairs.to(dtype=torch.float64)
+        factors = torch.cat([factors_of(kind, wide) for kind in kinds])
         target = problem.target[:, index].double()
         squares = target.square()
         weight = None if problem.weight is None else problem.weight[:, index]
         for loss, own in zip(losses, sums, strict=True):
             own.add(loss, pairs, weight, factors, target, squares)
-        place = _probes(factors)
+        some = candidates(0, len(pairs)).to(factors.device)
+        place = some[pivots(factors[:, some])]
         at_probes.append(factors[:, place])
         probes.append(start + place)
-    place = torch.cat(probes)
-    place = place if groups.order is None else groups.order[place]
-    wide = problem.pairs.select(samples=place).to(dtype=torch.float64)
-    known, there = (tuple(kinds), wide, torch.stack(at_probes)), problem.weight
+    wide = problem.pairs.select(samples=groups.places(torch.cat(probes))).to(dtype=torch.float64)
+    own_probes = {kind: Probes.of(kind, problem.pairs, groups) for kind in kinds}
+    known, there = (own_probes, wide, torch.stack(at_probes)), problem.weight
     counts = target.new_full((materials,), len(problem.pairs)) if there is None else (there > 0).sum((1, 2)).double()
     return [SufficientStatistics(*known, *own.totals(), 3 * counts.expand(materials)) for own in sums]
 
@@ -236,24 +200,3 @@ class _Sums:
     def totals(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """gram, right, zero and total."""
         return torch.stack(self.grams, 1), torch.stack(self.rights, 1), self.zero, self.total
-
-
-def _factors(kinds: Sequence[type[Lobe]], pairs: Pairs) -> Tensor:
-    """The B_j of all kinds on pairs `(1, n)`, float64, `(J, n)`."""
-    wide = pairs.to(dtype=torch.float64)
-    found = [(kind, one) for kind in kinds for one in kind.pair_factors(wide)]
-    for kind, one in found:
-        if not one.isfinite().all():
-            raise UsageError(f"{kind.__name__}.pair_factors: expected finite values, found some that are not")
-    return torch.cat([one.expand(1, len(pairs)) for _, one in found])
-
-
-def _probes(factors: Tensor) -> Tensor:
-    """As many of a group's pairs as there are factors `(J, n)`, which tell these apart, by pivoted QR."""
-    count, pairs = factors.shape
-    some = torch.linspace(0, pairs - 1, min(pairs, _CANDIDATES), dtype=torch.float64, device="cpu").long()
-    own = factors[:, some.to(factors.device)].cpu()
-    scale = own.abs().amax(1, keepdim=True).clamp_min(torch.finfo(own.dtype).tiny)
-    _, pivots = scipy.linalg.qr((own / scale).numpy(), mode="r", pivoting=True)
-    chosen = torch.from_numpy(pivots[:count].astype("int64"))
-    return some[chosen.repeat(-(-count // len(chosen)))[:count]].to(factors.device)

@@ -41,14 +41,9 @@ class CubeRootLoss(Loss):
         super().__init__(reduction)
         self.eps = eps
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """M cos_i."""
-        return values * cosine(pairs)
-
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def exposure(self, pairs: Pairs | None) -> Tensor:
         """cos_i."""
-        cos_i = cosine(pairs)
-        return values * cos_i, cos_i
+        return cosine(pairs)[..., 0]
 
     def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
         """The cube root of the squared difference, which is taken first: equal values are then exactly equal."""

@@ -12,6 +12,7 @@ from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
+from torchbrdf.losses.derivatives import where_positive
 from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
@@ -164,14 +165,19 @@ class LearnedLoss(Loss):
         self.register_buffer("constants", torch.tensor(own, dtype=torch.float64, device="cpu"))
         self._kept_comparison: Kept[Comparison] = Kept()
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """log(x + EPSILON), what is compared of single values."""
-        return self.exposed(values, pairs).add(EPSILON).log()
+    def exposure(self, pairs: Pairs | None) -> Tensor:
+        """scale cos_i cos_o."""
+        found = cosines(pairs)[..., 0]
+        return found if self.scale == 1 else found * self.scale
 
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """scale cos_i cos_o / (x + EPSILON), 0 for values of 0 or less."""
-        x = self.exposed(values, pairs) + EPSILON
-        return x.log(), torch.where(values > 0, self.scale * cosines(pairs) / x, 0)
+    def compress(self, x: Tensor) -> Tensor:
+        """log(x + EPSILON), what is compared of single values."""
+        return x.clamp_min(0).add(EPSILON).log()
+
+    def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """1 / (x + EPSILON), 0 for values of 0 or less."""
+        base = x.clamp_min(0).add_(EPSILON)
+        return base.log(), where_positive(base.reciprocal_(), x)
 
     def penalty(self, difference: Tensor) -> Tensor:
         """|d|."""

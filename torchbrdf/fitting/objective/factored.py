@@ -1,0 +1,229 @@
+"""A problem laid out by half angles, for models whose lobes know their shape by the half angle alone.
+
+On the pairs of one theta_h predictions are C B and all derivatives sums over the same few functions B of a pair
+(`pair_factors`). A step evaluates lobes at probes only, and then works on single values: what is compared, penalty,
+slope and curvature, and their sums with the B and with the B's products, group by group. All else is the chain rule
+over 85 small matrices. Pairs lie in blocks of one group each, so that these sums are products of whole batches.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchbrdf.fitting import channels
+from torchbrdf.fitting.basis import Basis
+from torchbrdf.fitting.pair_factors import Groups, Probes, coefficients, factors_of
+from torchbrdf.fitting.sampling import CHUNK
+from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.parameter_dict import ParameterDict
+from torchbrdf.losses import Loss, Problem
+
+if TYPE_CHECKING:
+    from torchbrdf.pairs import Pairs
+
+# Pairs of a group, on average, from which on lobes are evaluated at probes.
+LEAST_PAIRS = 8
+# Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
+SMALLEST_BLOCK, LARGEST_BLOCK = 16, 1024
+
+
+class Sums(NamedTuple):
+    """What a pass over the pairs adds up for m problems, float64.
+
+    value: `(m,)`; slopes: by used responses, `(m, 3, Q)`; grams: `(m, 1|3, Q, Q)`, None: not asked for; binned: of all
+    responses, in what an objective gives as `columns`, `(m, 1|3, Q, B)`; None: it gives none.
+    """
+
+    value: Tensor
+    slopes: Tensor
+    grams: Tensor | None
+    binned: Tensor | None = None
+
+    def chained(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, Q, P)`."""
+        gradient = (self.slopes.flatten(1)[:, None] @ jacobian.flatten(1, 2))[:, 0]
+        if self.grams is None:
+            return self.value, gradient, gradient.new_empty(0)
+        curved = (self.grams @ jacobian).flatten(1, 2)
+        return self.value, gradient, jacobian.flatten(1, 2).mT @ curved
+
+
+class Layout:
+    """Pairs in blocks of one half angle each, the last of a group filled up.
+
+    size: of a block; group: of each of B blocks; sample: which of the pairs are in it, `(B, size)`; real: 1, or 0 of
+    what fills up.
+    """
+
+    def __init__(self, pairs: "Pairs", groups: Groups) -> None:
+        self.pairs, self.groups = pairs, groups
+        average = len(pairs) // (8 * len(groups))
+        self.size = min(max(1 << average.bit_length(), SMALLEST_BLOCK), LARGEST_BLOCK)
+        bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=pairs.device)
+        count = bounds.diff()
+        blocks = (count + self.size - 1) // self.size
+        every = torch.arange(len(groups), dtype=torch.int64, device=pairs.device)
+        self.group = every.repeat_interleave(blocks)
+        rank = torch.arange(len(self.group), dtype=torch.int64, device=pairs.device)
+        rank = (rank - (blocks.cumsum(0) - blocks)[self.group]) * self.size
+        place = rank[:, None] + torch.arange(self.size, dtype=torch.int64, device=pairs.device)
+        most = count[self.group, None]
+        self.sample = groups.places(bounds[self.group, None] + torch.minimum(place, most - 1))
+        self.real = (place < most).to(pairs.dtype)
+
+    def spread(self, values: Tensor) -> Tensor:
+        """Values of pairs `(..., N)`, `(B, ..., size)`, contiguous."""
+        found = values.index_select(-1, self.sample.flatten()).unflatten(-1, self.sample.shape)
+        return found.movedim(-2, 0).contiguous()
+
+    def parts(self, rows: int) -> Iterator[slice]:
+        """Blocks in parts, so small that arrays of three numbers for each of so many fits stay in the cache."""
+        numbers = CHUNK.get(self.pairs.device.type, CHUNK["cpu"])
+        step = max(1, numbers // (3 * rows * self.size))
+        for start in range(0, len(self.group), step):
+            yield slice(start, start + step)
+
+
+class Factors:
+    """The factors of some kinds of lobes on a layout, those first of which derivatives are wanted.
+
+    Args:
+        layout: of pairs.
+        kinds: of lobes, the first `active` of which have derivatives.
+        exposure: what values are multiplied by first, `(1, N)`; None: nothing.
+        counts: how much each place of a block counts for all materials, `(B, size)`.
+
+    values: `(B, J, size)`; weighted: those that are active, times counts, `(B, a, size)`; products: of these by each
+    other, each pair of factors once; index: where the product of any two of them is, `(a, a)`.
+    """
+
+    def __init__(
+        self, layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None, counts: Tensor
+    ) -> None:
+        self.layout = layout
+        self.probes = {kind: Probes.of(kind, layout.pairs, layout.groups) for kind in kinds}
+        self.active = sum(self.probes[kind].inverse.shape[1] for kind in kinds[:active])
+        found = torch.cat([factors_of(kind, layout.pairs) for kind in kinds])
+        self.values = layout.spread(found if exposure is None else found * exposure)
+        self.weighted = self.values[:, : self.active] * counts[:, None]
+        rows, columns = torch.triu_indices(self.active, self.active, device=counts.device)
+        self.products = self.values[:, rows] * self.weighted[:, columns]
+        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=counts.device)
+        place = torch.arange(len(rows), dtype=torch.int64, device=counts.device)
+        self.index[rows, columns] = place
+        self.index[columns, rows] = place
+
+    def on(self, pairs: "Pairs") -> Tensor:
+        """The factors on some pairs, not exposed, `(J, n)`, float64."""
+        wide = pairs.to(dtype=torch.float64)
+        return torch.cat([factors_of(kind, wide) for kind in self.probes])
+
+
+class FactoredProblem:
+    """A problem under a loss, laid out by half angles.
+
+    Args:
+        problem: whose pairs all materials share.
+        loss: of single values.
+        weight: of pairs, as `channels.effective_weight` gives it.
+        code: what is compared of targets, `(M, 3, N)`.
+        groups: of the pairs.
+    """
+
+    def __init__(self, problem: Problem, loss: Loss, weight: Tensor | None, code: Tensor, groups: Groups) -> None:
+        self.problem, self.loss = problem, loss
+        self.layout = Layout(problem.pairs, groups)
+        self.exposure = loss.exposure(problem.pairs)
+        self.target = self.layout.spread(code)
+        self.counts, self.weight = self.layout.real.to(code), None
+        if weight is not None and weight.shape[:2] == (1, 1):
+            self.counts = self.counts * self.layout.spread(weight.expand(-1, -1, code.shape[2]))[:, 0, 0]
+        elif weight is not None:
+            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2]))
+        self._factors: dict[tuple[tuple[type[Lobe], ...], int], Factors] = {}
+
+    def factors(self, basis: Basis) -> Factors:
+        """Those of the lobes of a basis."""
+        active = dict.fromkeys(part.kind for part in basis.parts if part.slopes or part.moves_coefficients)
+        kinds = tuple(dict.fromkeys([*active, *(part.kind for part in basis.parts)]))
+        key = kinds, len(active)
+        if key not in self._factors:
+            self._factors[key] = Factors(self.layout, kinds, len(active), self.exposure, self.counts)
+        return self._factors[key]
+
+    def sums(
+        self,
+        basis: Basis,
+        values: ParameterDict,
+        albedos: Tensor,
+        rows: Tensor | None,
+        width: Tensor | None,
+        curvature: bool,
+    ) -> tuple[Sums, Tensor]:
+        """What a pass adds up for m problems, and the responses as sums of the factors, `(m, Q, G J)`.
+
+        albedos: `(m, 3, terms)`; rows: of which material each is, None: all; width: `(m, 1, 1)`.
+        """
+        problems, factors = len(albedos), self.factors(basis)
+        responses = coefficients(basis, factors.probes, values, problems)
+        groups, count = responses.shape[2:]
+        color = albedos.double() @ responses[:, len(basis.slopes) :].flatten(2)
+        color = color.unflatten(2, (groups, count)).permute(2, 0, 1, 3).flatten(1, 2).to(self.target.dtype)
+        value, slopes, products = self._pass(color, factors, rows, width, curvature)
+        used = responses[:, : basis.used, :, : factors.active]
+        flat = used.flatten(2)
+        slopes = slopes.unflatten(1, (problems, 3)).permute(1, 2, 0, 3).flatten(2)
+        grams = None
+        if products is not None:
+            products = products[..., factors.index].unflatten(1, (problems, -1)).permute(1, 2, 0, 3, 4)
+            half = used.transpose(1, 2)[:, None] @ products
+            grams = half.transpose(2, 3).flatten(3) @ flat.mT[:, None]
+        return Sums(value, slopes @ flat.mT, grams), responses.flatten(2)
+
+    def _pass(
+        self, color: Tensor, factors: Factors, rows: Tensor | None, width: Tensor | None, curvature: bool
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Values `(m,)`, and by group slopes `(G, 3m, a)` and curvatures by products `(G, 3m, k)`, float64.
+
+        color: what factors are multiplied by, `(G, 3m, J)`.
+        """
+        layout, group, problems = self.layout, self.layout.group, color.shape[1] // 3
+        sums: list[tuple[Tensor, ...]] = []
+        for part in layout.parts(problems):
+            x = torch.bmm(color[group[part]], factors.values[part]).unflatten(1, (problems, 3))
+            code, rate = self._compressed(x, part)
+            target, weight = self._own(self.target[part], rows), None
+            difference = code - target if code is x else code.sub_(target)
+            penalty, slope, curve = self.loss.penalty_with_derivatives(difference, width)
+            if self.weight is not None:
+                weight = self._own(self.weight[part], rows)
+                penalty, slope = penalty * weight, slope * weight
+            slope = slope if rate is None else slope * rate
+            found = [torch.bmm(penalty.flatten(1, 2), self.counts[part, :, None])]
+            found.append(torch.bmm(slope.flatten(1, 2), factors.weighted[part].mT))
+            if curvature:
+                curve = curve if rate is None else curve * rate.square()
+                curve = curve if weight is None else curve * weight
+                curve = curve.expand_as(difference).flatten(1, 2)
+                found.append(torch.bmm(curve, factors.products[part].mT))
+            sums.append(tuple(found))
+        value, *others = (torch.cat(parts).double() for parts in zip(*sums, strict=True))
+        by_group = [one.new_zeros(len(color), *one.shape[1:]).index_add_(0, group, one) for one in others]
+        value = value.sum(0).unflatten(0, (problems, 3)).sum((1, 2))
+        return value, by_group[0], by_group[1] if curvature else None
+
+    def _own(self, values: Tensor, rows: Tensor | None) -> Tensor:
+        """What belongs to these materials, of `(b, M|1, ...)`."""
+        return values if rows is None or values.shape[1] == 1 else values.index_select(1, rows)
+
+    def _compressed(self, x: Tensor, part: slice) -> tuple[Tensor, Tensor | None]:
+        """What is compared of values `(b, m, 3, size)`, exposed if the loss says how, and its derivative."""
+        if self.exposure is not None:
+            return self.loss.compress_with_derivative(x)
+        pairs = self.problem.pairs.select(samples=self.layout.sample[part].flatten())
+        flat = x.permute(1, 2, 0, 3).flatten(2)
+        found = channels.encode_with_derivative(self.loss, flat, pairs)
+        code, rate = (one.expand_as(flat).unflatten(2, (len(x), -1)).permute(2, 0, 1, 3) for one in found)
+        return code.contiguous(), rate.contiguous()
