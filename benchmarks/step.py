@@ -5,11 +5,13 @@ python benchmarks/step.py NICKEL.binary
 Beside the step as fits take it, which evaluates lobes at probes only, the same with lobes evaluated on every pair.
 """
 
+import statistics
 import sys
+import time
 from functools import partial
 
 import torch
-from common import MODELS, lobes_of, seconds
+from common import MODELS, lobes_of
 
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.sufficient_statistics import Gathered
@@ -45,6 +47,16 @@ def main(path):
                     f"{1e3 * every:8.2f} ms{every / floor:7.1f} floors",
                     flush=True,
                 )
+
+
+def seconds(work, times=9):
+    """The median CPU time of some runs, after one that warms up: a busy neighbour matters less than on the clock."""
+    found = []
+    for _ in range(times + 1):
+        began = time.thread_time()
+        work()
+        found.append(time.thread_time() - began)
+    return statistics.median(found[1:])
 
 
 def step_of(objective, free, values):

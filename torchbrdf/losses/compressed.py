@@ -7,6 +7,7 @@ from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
 from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.losses.derivatives import where_positive
+from torchbrdf.losses.elementary import power
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
 
@@ -54,11 +55,11 @@ class CompressedLoss(Loss):
     def compress(self, x: Tensor) -> Tensor:
         """x^p."""
         x = x.clamp_min(0)
-        return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
+        return safe_power(x, self.exponent) if self.eps == 0 else power(x + self.eps, self.exponent)
 
     def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """p x^(p - 1), 0 for values of 0 or less."""
         base = torch.where(x > 0, x, 1) if self.eps == 0 else x.clamp_min(0).add_(self.eps)
-        power = base.pow(self.exponent)
-        slope = where_positive(torch.div(power, base, out=base).mul_(self.exponent), x)
-        return (torch.where(x > 0, power, 0) if self.eps == 0 else power), slope
+        found = power(base, self.exponent)
+        slope = where_positive(torch.div(found, base, out=base).mul_(self.exponent), x)
+        return (torch.where(x > 0, found, 0) if self.eps == 0 else found), slope

@@ -13,6 +13,7 @@ from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
 from torchbrdf.losses.derivatives import where_positive
+from torchbrdf.losses.elementary import log
 from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
@@ -172,12 +173,12 @@ class LearnedLoss(Loss):
 
     def compress(self, x: Tensor) -> Tensor:
         """log(x + EPSILON), what is compared of single values."""
-        return x.clamp_min(0).add(EPSILON).log()
+        return log(x.clamp_min(0).add(EPSILON))
 
     def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """1 / (x + EPSILON), 0 for values of 0 or less."""
         base = x.clamp_min(0).add_(EPSILON)
-        return base.log(), where_positive(base.reciprocal_(), x)
+        return log(base), where_positive(base.reciprocal_(), x)
 
     def penalty(self, difference: Tensor) -> Tensor:
         """|d|."""

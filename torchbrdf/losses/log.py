@@ -1,10 +1,10 @@
 """Differences of logarithms."""
 
-import torch
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, Loss, cosine
 from torchbrdf.losses.derivatives import where_positive
+from torchbrdf.losses.elementary import log1p
 from torchbrdf.pairs import Pairs
 
 
@@ -34,9 +34,10 @@ class LogLoss(Loss):
 
     def compress(self, x: Tensor) -> Tensor:
         """log(1 + x)."""
-        return torch.log1p(x.clamp_min(0))
+        return log1p(x.clamp_min(0))
 
     def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """1 / (1 + x), 0 for negative values."""
         positive = x.clamp_min(0)
-        return torch.log1p(positive), where_positive((1 + positive).reciprocal_(), x)
+        found = log1p(positive)
+        return found, where_positive(positive.add_(1).reciprocal_(), x)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Pairs of a group, on average, from which on lobes are evaluated at probes.
 LEAST_PAIRS = 8
 # Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
-SMALLEST_BLOCK, LARGEST_BLOCK = 16, 1024
+SMALLEST_BLOCK, LARGEST_BLOCK = 16, 512
 
 
 class Sums(NamedTuple):
@@ -93,25 +93,24 @@ class Factors:
         layout: of pairs.
         kinds: of lobes, the first `active` of which have derivatives.
         exposure: what values are multiplied by first, `(1, N)`; None: nothing.
-        counts: how much each place of a block counts for all materials, `(B, size)`.
 
-    values: `(B, J, size)`; weighted: those that are active, times counts, `(B, a, size)`; products: of these by each
-    other, each pair of factors once; index: where the product of any two of them is, `(a, a)`.
+    values: `(B, J, size)`; products: of those that are active by each other, each pair of factors once; index: where
+    the product of any two of them is, `(a, a)`.
     """
 
     def __init__(
-        self, layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None, counts: Tensor
+        self, layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None
     ) -> None:
         self.layout = layout
         self.probes = {kind: Probes.of(kind, layout.pairs, layout.groups) for kind in kinds}
         self.active = sum(self.probes[kind].inverse.shape[1] for kind in kinds[:active])
         found = torch.cat([factors_of(kind, layout.pairs) for kind in kinds])
-        self.values = layout.spread(found if exposure is None else found * exposure)
-        self.weighted = self.values[:, : self.active] * counts[:, None]
-        rows, columns = torch.triu_indices(self.active, self.active, device=counts.device)
-        self.products = self.values[:, rows] * self.weighted[:, columns]
-        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=counts.device)
-        place = torch.arange(len(rows), dtype=torch.int64, device=counts.device)
+        # What fills up is 0: no value, no slope.
+        self.values = layout.spread(found if exposure is None else found * exposure) * layout.real[:, None]
+        rows, columns = torch.triu_indices(self.active, self.active, device=found.device)
+        self.products = self.values[:, rows] * self.values[:, columns]
+        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=found.device)
+        place = torch.arange(len(rows), dtype=torch.int64, device=found.device)
         self.index[rows, columns] = place
         self.index[columns, rows] = place
 
@@ -136,12 +135,15 @@ class FactoredProblem:
         self.problem, self.loss = problem, loss
         self.layout = Layout(problem.pairs, groups)
         self.exposure = loss.exposure(problem.pairs)
-        self.target = self.layout.spread(code)
-        self.counts, self.weight = self.layout.real.to(code), None
-        if weight is not None and weight.shape[:2] == (1, 1):
-            self.counts = self.counts * self.layout.spread(weight.expand(-1, -1, code.shape[2]))[:, 0, 0]
-        elif weight is not None:
-            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2]))
+        self.target, self.weight = self.layout.spread(code), None
+        empty = self.layout.real == 0
+        for part in self.layout.parts(1):
+            black, _ = self._compressed(torch.zeros_like(self.target[part, :1]), part)
+            self.target[part] = torch.where(empty[part, None, None], black, self.target[part])
+        self.filled = int(empty.sum())
+        if weight is not None:
+            self.filled = 0
+            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2])) * self.layout.real[:, None, None]
         self._factors: dict[tuple[tuple[type[Lobe], ...], int], Factors] = {}
 
     def factors(self, basis: Basis) -> Factors:
@@ -150,7 +152,7 @@ class FactoredProblem:
         kinds = tuple(dict.fromkeys([*active, *(part.kind for part in basis.parts)]))
         key = kinds, len(active)
         if key not in self._factors:
-            self._factors[key] = Factors(self.layout, kinds, len(active), self.exposure, self.counts)
+            self._factors[key] = Factors(self.layout, kinds, len(active), self.exposure)
         return self._factors[key]
 
     def sums(
@@ -190,28 +192,28 @@ class FactoredProblem:
         color: what factors are multiplied by, `(G, 3m, J)`.
         """
         layout, group, problems = self.layout, self.layout.group, color.shape[1] // 3
+        value = color.new_zeros(problems, dtype=torch.float64)
         sums: list[tuple[Tensor, ...]] = []
         for part in layout.parts(problems):
             x = torch.bmm(color[group[part]], factors.values[part]).unflatten(1, (problems, 3))
             code, rate = self._compressed(x, part)
-            target, weight = self._own(self.target[part], rows), None
-            difference = code - target if code is x else code.sub_(target)
+            difference = code.sub_(self._own(self.target[part], rows))
             penalty, slope, curve = self.loss.penalty_with_derivatives(difference, width)
             if self.weight is not None:
                 weight = self._own(self.weight[part], rows)
-                penalty, slope = penalty * weight, slope * weight
-            slope = slope if rate is None else slope * rate
-            found = [torch.bmm(penalty.flatten(1, 2), self.counts[part, :, None])]
-            found.append(torch.bmm(slope.flatten(1, 2), factors.weighted[part].mT))
+                penalty, slope, curve = penalty * weight, slope * weight, curve * weight
+            value += penalty.sum((0, 2, 3))
+            slope = slope if rate is None else slope.mul_(rate)
+            found = [torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT)]
             if curvature:
-                curve = curve if rate is None else curve * rate.square()
-                curve = curve if weight is None else curve * weight
-                curve = curve.expand_as(difference).flatten(1, 2)
-                found.append(torch.bmm(curve, factors.products[part].mT))
+                curve = curve if rate is None else curve * rate.square_()
+                found.append(torch.bmm(curve.expand_as(difference).flatten(1, 2), factors.products[part].mT))
             sums.append(tuple(found))
-        value, *others = (torch.cat(parts).double() for parts in zip(*sums, strict=True))
-        by_group = [one.new_zeros(len(color), *one.shape[1:]).index_add_(0, group, one) for one in others]
-        value = value.sum(0).unflatten(0, (problems, 3)).sum((1, 2))
+        if self.filled:  # with nothing: predictions and targets of 0
+            nothing = color.new_zeros(1 if width is None else problems, 1, 1)
+            value -= 3 * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()
+        joined = (torch.cat(parts).double() for parts in zip(*sums, strict=True))
+        by_group = [one.new_zeros(len(color), *one.shape[1:]).index_add_(0, group, one) for one in joined]
         return value, by_group[0], by_group[1] if curvature else None
 
     def _own(self, values: Tensor, rows: Tensor | None) -> Tensor:
