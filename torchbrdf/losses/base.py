@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
+from torchbrdf.losses.elementary import NEW, Out
 from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
@@ -142,8 +143,11 @@ class Loss(nn.Module):
         """What is compared of values times `exposure`: these as they are."""
         return x
 
-    def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor | None]:
-        """`compress`, and its derivative; None: it is 1. By autograd, unless a loss knows a shorter way."""
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor | None]:
+        """`compress`, and its derivative; None: it is 1. By autograd, unless a loss knows a shorter way.
+
+        out: two tensors like x, where both may be put.
+        """
         if type(self).compress is Loss.compress:
             return x, None
         return derivatives.derivative_of(self.compress, x)
@@ -171,15 +175,17 @@ class Loss(nn.Module):
         return difference.square()
 
     def penalty_with_derivatives(
-        self, difference: Tensor, width: Tensor | None = None
+        self, difference: Tensor, width: Tensor | None = None, out: Out = NEW
     ) -> tuple[Tensor, Tensor, Tensor]:
         """`penalty`, its derivative, and the curvature, at least 0, of a parabola that stands in for it nearby.
 
         width, which broadcasts: a penalty with a cusp at 0 is rounded there over differences of this size. The square
-        is its own parabola; of other penalties by autograd, unless a loss knows a shorter way.
+        is its own parabola; of other penalties by autograd, unless a loss knows a shorter way. out: three tensors like
+        the difference, where these may be put.
         """
         if type(self).penalty is Loss.penalty:
-            return difference.square(), 2 * difference, difference.new_full((1, 1), 2)
+            square = torch.mul(difference, difference, out=out[0])
+            return square, torch.mul(difference, 2, out=out[1]), difference.new_full((1, 1), 2)
         return derivatives.penalty_with_derivatives(self, difference, width)
 
     def sample_weight(self, pairs: Pairs) -> Tensor | None:

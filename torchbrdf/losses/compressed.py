@@ -6,8 +6,7 @@ from torch import Tensor
 from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
 from torchbrdf.losses.base import LOSSES, Loss, cosine
-from torchbrdf.losses.derivatives import where_positive
-from torchbrdf.losses.elementary import power
+from torchbrdf.losses.elementary import NEW, Out, power, where_positive
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
 
@@ -57,9 +56,9 @@ class CompressedLoss(Loss):
         x = x.clamp_min(0)
         return safe_power(x, self.exponent) if self.eps == 0 else power(x + self.eps, self.exponent)
 
-    def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
         """p x^(p - 1), 0 for values of 0 or less."""
-        base = torch.where(x > 0, x, 1) if self.eps == 0 else x.clamp_min(0).add_(self.eps)
-        found = power(base, self.exponent)
-        slope = where_positive(torch.div(found, base, out=base).mul_(self.exponent), x)
-        return (torch.where(x > 0, found, 0) if self.eps == 0 else found), slope
+        base = torch.where(x > 0, x, 1) if self.eps == 0 else torch.clamp_min(x, 0, out=out[1]).add_(self.eps)
+        code = power(base, self.exponent, out[0])
+        slope = torch.addcdiv(x.new_zeros(()), code, base, value=self.exponent, out=out[1])
+        return (torch.where(x > 0, code, 0) if self.eps == 0 else code), where_positive(slope, x)

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchbrdf.color import safe_power
 from torchbrdf.losses.base import LOSSES, Loss, cosine
-from torchbrdf.losses.elementary import power
+from torchbrdf.losses.elementary import NEW, Out, power
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
 
@@ -65,11 +65,14 @@ class CubeRootLoss(Loss):
         return (torch.where(near, found * root, found) - root).clamp_min(0)
 
     def penalty_with_derivatives(
-        self, difference: Tensor, width: Tensor | None = None
+        self, difference: Tensor, width: Tensor | None = None, out: Out = NEW
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Of (d^2 + width^2)^(1/3), with the parabola that touches it on both sides and is nowhere below it."""
-        tiny = torch.finfo(difference.dtype).tiny
-        square = difference.square().add_(max(self.eps, tiny) if width is None else width.square())
-        root = power(square, 1 / 3)
-        curvature = root / square * (2 / 3)
-        return root, curvature * difference, curvature
+        if width is None:
+            rounding = difference.new_tensor(max(self.eps, torch.finfo(difference.dtype).tiny))
+        else:
+            rounding = width.square()
+        square = torch.addcmul(rounding, difference, difference, out=out[2])
+        root = power(square, 1 / 3, out[0])
+        curvature = torch.addcdiv(difference.new_zeros(()), root, square, value=2 / 3, out=out[2])
+        return root, torch.mul(curvature, difference, out=out[1]), curvature

@@ -22,12 +22,6 @@ def derivative_of(function: Callable[[Tensor], Tensor], values: Tensor) -> tuple
     return encoded.detach(), slope
 
 
-def where_positive(slope: Tensor, x: Tensor) -> Tensor:
-    """slope where x is above 0, else 0, in one pass."""
-    found: Tensor = torch.ops.aten.threshold_backward(slope, x, 0)
-    return found
-
-
 def penalty_with_derivatives(loss: "Loss", difference: Tensor, width: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     """`loss.penalty`, its derivative, and the curvature of a parabola near it.
 

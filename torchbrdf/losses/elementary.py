@@ -1,4 +1,7 @@
-"""Elementary functions of many values, by whichever library is quickest at them."""
+"""Elementary functions of many values, by whichever library is quickest at them.
+
+`out` is where results go, as in torch; None: into a new tensor.
+"""
 
 from collections.abc import Callable
 
@@ -7,6 +10,9 @@ import torch
 from torch import Tensor
 
 _QUICK = (torch.float32, torch.float64)
+Out = tuple[Tensor | None, ...]
+NEW: Out = (None, None, None)
+"""New tensors for all results."""
 
 
 def _is_quick(x: Tensor) -> bool:
@@ -15,27 +21,32 @@ def _is_quick(x: Tensor) -> bool:
     return plain and not torch.compiler.is_compiling() and not torch._C._functorch.is_functorch_wrapped_tensor(x)
 
 
-def _by_numpy(function: Callable[..., object], x: Tensor, *more: float) -> Tensor:
-    """A ufunc of contiguous or other tensors, laid out as these are."""
-    found = torch.empty_like(x)
+def _by_numpy(function: Callable[..., object], out: Tensor | None, x: Tensor, *more: float) -> Tensor:
+    found = torch.empty_like(x) if out is None else out
     function(x.numpy(), *more, out=found.numpy())
     return found
 
 
-def log(x: Tensor) -> Tensor:
+def log(x: Tensor, out: Tensor | None = None) -> Tensor:
     """Natural logarithms: numpy's take a third of torch's time."""
-    return _by_numpy(np.log, x) if _is_quick(x) else x.log()
+    return _by_numpy(np.log, out, x) if _is_quick(x) else torch.log(x, out=out)
 
 
-def log1p(x: Tensor) -> Tensor:
+def log1p(x: Tensor, out: Tensor | None = None) -> Tensor:
     """Logarithms of 1 + x, likewise."""
-    return _by_numpy(np.log1p, x) if _is_quick(x) else x.log1p()
+    return _by_numpy(np.log1p, out, x) if _is_quick(x) else torch.log1p(x, out=out)
 
 
-def power(x: Tensor, exponent: float) -> Tensor:
+def power(x: Tensor, exponent: float, out: Tensor | None = None) -> Tensor:
     """Powers of positive numbers: a cube root by numpy takes a ninth, others half of torch's time."""
     if not _is_quick(x):
-        return x.pow(exponent)
+        return torch.pow(x, exponent, out=out)
     if exponent == 1 / 3:
-        return _by_numpy(np.cbrt, x)
-    return x.sqrt() if exponent == 0.5 else _by_numpy(np.power, x, exponent)
+        return _by_numpy(np.cbrt, out, x)
+    return torch.sqrt(x, out=out) if exponent == 0.5 else _by_numpy(np.power, out, x, exponent)
+
+
+def where_positive(slope: Tensor, x: Tensor) -> Tensor:
+    """slope, in its place, where x is above 0, else 0, in one pass."""
+    found: Tensor = torch.ops.aten.threshold_backward.grad_input(slope, x, 0, grad_input=slope)
+    return found

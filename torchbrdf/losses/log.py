@@ -1,10 +1,10 @@
 """Differences of logarithms."""
 
+import torch
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, Loss, cosine
-from torchbrdf.losses.derivatives import where_positive
-from torchbrdf.losses.elementary import log1p
+from torchbrdf.losses.elementary import NEW, Out, log1p, where_positive
 from torchbrdf.pairs import Pairs
 
 
@@ -36,8 +36,8 @@ class LogLoss(Loss):
         """log(1 + x)."""
         return log1p(x.clamp_min(0))
 
-    def compress_with_derivative(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
         """1 / (1 + x), 0 for negative values."""
-        positive = x.clamp_min(0)
-        found = log1p(positive)
-        return found, where_positive(positive.add_(1).reciprocal_(), x)
+        positive = torch.clamp_min(x, 0, out=out[1])
+        code = log1p(positive, out[0])
+        return code, where_positive(positive.add_(1).reciprocal_(), x)

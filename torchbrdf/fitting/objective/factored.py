@@ -6,6 +6,8 @@ slope and curvature, and their sums with the B and with the B's products, group 
 over 85 small matrices. Pairs lie in blocks of one group each, so that these sums are products of whole batches.
 """
 
+import inspect
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +17,6 @@ from torch import Tensor
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.pair_factors import Groups, Probes, coefficients, factors_of
-from torchbrdf.fitting.sampling import CHUNK
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import Loss, Problem
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 LEAST_PAIRS = 8
 # Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
 SMALLEST_BLOCK, LARGEST_BLOCK = 16, 512
+# Numbers that are worked on at a time, in five arrays: so many that calls do not count, and few enough for a cache.
+WORK = {"cpu": 1 << 17, "cuda": 1 << 26}
 
 
 class Sums(NamedTuple):
@@ -80,10 +83,10 @@ class Layout:
 
     def parts(self, rows: int) -> Iterator[slice]:
         """Blocks in parts, so small that arrays of three numbers for each of so many fits stay in the cache."""
-        numbers = CHUNK.get(self.pairs.device.type, CHUNK["cpu"])
+        numbers = WORK.get(self.pairs.device.type, WORK["cpu"])
         step = max(1, numbers // (3 * rows * self.size))
         for start in range(0, len(self.group), step):
-            yield slice(start, start + step)
+            yield slice(start, min(start + step, len(self.group)))
 
 
 class Factors:
@@ -133,12 +136,16 @@ class FactoredProblem:
 
     def __init__(self, problem: Problem, loss: Loss, weight: Tensor | None, code: Tensor, groups: Groups) -> None:
         self.problem, self.loss = problem, loss
+        methods = loss.compress_with_derivative, loss.penalty_with_derivatives
+        self.works_in_place = all("out" in inspect.signature(method).parameters for method in methods)
+        self._memory = code.new_empty(0)
         self.layout = Layout(problem.pairs, groups)
         self.exposure = loss.exposure(problem.pairs)
         self.target, self.weight = self.layout.spread(code), None
         empty = self.layout.real == 0
         for part in self.layout.parts(1):
-            black, _ = self._compressed(torch.zeros_like(self.target[part, :1]), part)
+            nothing = torch.zeros_like(self.target[part, :1])
+            black, _ = self._compressed(nothing, part, torch.empty_like(nothing).repeat(2, 1, 1, 1, 1))
             self.target[part] = torch.where(empty[part, None, None], black, self.target[part])
         self.filled = int(empty.sum())
         if weight is not None:
@@ -191,37 +198,63 @@ class FactoredProblem:
 
         color: what factors are multiplied by, `(G, 3m, J)`.
         """
-        layout, group, problems = self.layout, self.layout.group, color.shape[1] // 3
-        value = color.new_zeros(problems, dtype=torch.float64)
-        sums: list[tuple[Tensor, ...]] = []
+        layout, problems, square = self.layout, color.shape[1] // 3, factors.products.shape[1]
+        by_block, value = color[layout.group], color.new_zeros(problems, dtype=torch.float64)
+        slopes = color.new_empty(len(by_block), 3 * problems, factors.active)
+        grams = color.new_empty(len(by_block), 3 * problems if curvature else 0, square)
         for part in layout.parts(problems):
-            x = torch.bmm(color[group[part]], factors.values[part]).unflatten(1, (problems, 3))
-            code, rate = self._compressed(x, part)
+            work = self._work((part.stop - part.start, problems, 3, layout.size))
+            x = torch.bmm(by_block[part], factors.values[part], out=work[0].flatten(1, 2)).view_as(work[0])
+            code, rate = self._compressed(x, part, work[1:3])
             difference = code.sub_(self._own(self.target[part], rows))
-            penalty, slope, curve = self.loss.penalty_with_derivatives(difference, width)
+            spare = (work[1] if code is x else x, *work[3:])
+            penalty, slope, curve = self._penalized(difference, width, spare)
             if self.weight is not None:
                 weight = self._own(self.weight[part], rows)
-                penalty, slope, curve = penalty * weight, slope * weight, curve * weight
+                penalty, slope, curve = (self._times(one, weight) for one in (penalty, slope, curve))
             value += penalty.sum((0, 2, 3))
-            slope = slope if rate is None else slope.mul_(rate)
-            found = [torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT)]
+            slope = slope if rate is None else self._times(slope, rate)
+            torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT, out=slopes[part])
             if curvature:
-                curve = curve if rate is None else curve * rate.square_()
-                found.append(torch.bmm(curve.expand_as(difference).flatten(1, 2), factors.products[part].mT))
-            sums.append(tuple(found))
+                curve = curve if rate is None else torch.mul(curve, rate.square_(), out=rate)
+                torch.bmm(curve.expand_as(x).flatten(1, 2), factors.products[part].mT, out=grams[part])
         if self.filled:  # with nothing: predictions and targets of 0
             nothing = color.new_zeros(1 if width is None else problems, 1, 1)
             value -= 3 * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()
-        joined = (torch.cat(parts).double() for parts in zip(*sums, strict=True))
-        by_group = [one.new_zeros(len(color), *one.shape[1:]).index_add_(0, group, one) for one in joined]
+        by_group = [
+            color.new_zeros(len(color), *one.shape[1:], dtype=torch.float64).index_add_(0, layout.group, one.double())
+            for one in (slopes, grams)
+        ]
         return value, by_group[0], by_group[1] if curvature else None
+
+    def _work(self, shape: tuple[int, ...]) -> Tensor:
+        """Five arrays of this shape to work in, always the same ones: memory that is new costs more than arithmetic."""
+        count = 5 * math.prod(shape)
+        if self._memory.numel() < count:
+            self._memory = self.target.new_empty(count)
+        return self._memory[:count].view(5, *shape)
+
+    def _penalized(
+        self, difference: Tensor, width: Tensor | None, spare: tuple[Tensor, ...]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Penalties, slopes and curvatures."""
+        if self.works_in_place:
+            return self.loss.penalty_with_derivatives(difference, width, spare)
+        return self.loss.penalty_with_derivatives(difference, width)
+
+    def _times(self, one: Tensor, other: Tensor) -> Tensor:
+        """Their product, in the place of the first if it is ours."""
+        mine = self.works_in_place and one.shape[-1] == self.layout.size
+        return one.mul_(other) if mine else one * other
 
     def _own(self, values: Tensor, rows: Tensor | None) -> Tensor:
         """What belongs to these materials, of `(b, M|1, ...)`."""
         return values if rows is None or values.shape[1] == 1 else values.index_select(1, rows)
 
-    def _compressed(self, x: Tensor, part: slice) -> tuple[Tensor, Tensor | None]:
+    def _compressed(self, x: Tensor, part: slice, spare: Tensor) -> tuple[Tensor, Tensor | None]:
         """What is compared of values `(b, m, 3, size)`, exposed if the loss says how, and its derivative."""
+        if self.exposure is not None and self.works_in_place:
+            return self.loss.compress_with_derivative(x, (spare[0], spare[1]))
         if self.exposure is not None:
             return self.loss.compress_with_derivative(x)
         pairs = self.problem.pairs.select(samples=self.layout.sample[part].flatten())
