@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from torchbrdf.fitting.layout import Layout
 from torchbrdf.fitting.objective import make_objective
-from torchbrdf.fitting.objective.factored import Layout
 from torchbrdf.fitting.pair_factors import Groups
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
 from torchbrdf.lobes import LOBES, Lambert, Sum, make_model

@@ -5,11 +5,12 @@ B_j(pair) (`Lobe.pair_factors`). The H_j follow from the term at as many probes,
 apart, so that lobes are evaluated as anywhere else, but at a few hundred pairs in the place of 900,000.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
-import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -23,6 +24,10 @@ from torchbrdf.pairs import Pairs
 _CANDIDATES = 64
 # Combinations of a group's factors that vary less than this, relative, are left out: they are not to be seen.
 RANK = 1e-12
+
+
+Made = TypeVar("Made")
+_KEPT: WeakKeyDictionary[Pairs, dict[Hashable, Any]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,25 @@ class Groups:
         return sorted_places if self.order is None else self.order[sorted_places]
 
 
+def kept(pairs: Pairs, key: Hashable, make: Callable[[], Made]) -> Made:
+    """What fits make of pairs alone: made once, and kept for as long as these are."""
+    own = _KEPT.setdefault(pairs, {})
+    if key not in own:
+        own[key] = make()
+    found: Made = own[key]
+    return found
+
+
+def groups_of(pairs: Pairs, least: int) -> Groups | None:
+    """`Groups.of`, kept."""
+    return kept(pairs, least, lambda: Groups.of(pairs, least))
+
+
+def probes_of(kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
+    """`Probes.of`, kept."""
+    return kept(pairs, kind, lambda: Probes.of(kind, pairs, groups))
+
+
 def factor_kinds(model: Lobe) -> list[type[Lobe]]:
     """The kinds of a model's lobes; none, if one of them has no `pair_factors`."""
     kinds = list(dict.fromkeys(type(lobe) for lobe in model.components()))
@@ -89,16 +113,13 @@ class Probes:
     @classmethod
     def of(cls, kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
         """Choose them among the pairs of each group."""
-        some = [candidates(start, stop) for start, stop in zip(groups.bounds, groups.bounds[1:], strict=False)]
-        index = groups.places(torch.cat(some).to(pairs.device))
-        wide = pairs.select(samples=index).to(dtype=torch.float64)
-        factors = factors_of(kind, wide)
-        own = factors.split([len(one) for one in some], 1)
-        place = torch.stack([pivots(one) for one in own])
-        first = torch.tensor([0, *(len(one) for one in some[:-1])], dtype=torch.int64, device="cpu").cumsum(0)
-        place = (place + first[:, None].to(place.device)).flatten()
-        there = factors[:, place].unflatten(1, (len(groups), -1)).transpose(0, 1)
-        return cls(wide.select(samples=place), inverse_of(there))
+        some = candidates(groups, pairs.device)
+        wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
+        factors = factors_of(kind, wide).unflatten(1, some.shape).transpose(0, 1)
+        place = pivots(factors)
+        there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
+        first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
+        return cls(wide.select(samples=(first + place).flatten()), inverse_of(there))
 
     def coefficients(self, responses: Tensor) -> Tensor:
         """The H_j of terms or their derivatives, from their values at the probes `(m, K, G J)`, `(m, K, G, J)`."""
@@ -126,19 +147,28 @@ def coefficients(basis: Basis, probes: Mapping[type[Lobe], Probes], values: Para
     return found
 
 
-def candidates(start: int, stop: int) -> Tensor:
-    """Some of the pairs from one place to another, evenly."""
-    places = torch.linspace(start, stop - 1, min(stop - start, _CANDIDATES), dtype=torch.float64, device="cpu")
-    return places.long()
+def candidates(groups: Groups, device: torch.device) -> Tensor:
+    """Some of the pairs of each group, evenly, `(G, C)`."""
+    bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=device)
+    place = torch.arange(_CANDIDATES, dtype=torch.int64, device=device)
+    return groups.places(bounds[:-1, None] + place * (bounds.diff()[:, None] - 1) // (_CANDIDATES - 1))
 
 
 def pivots(factors: Tensor) -> Tensor:
-    """As many of a group's pairs as there are factors `(J, n)`, which tell these apart, by pivoted QR."""
-    count, own = len(factors), factors.cpu()
-    scale = own.abs().amax(1, keepdim=True).clamp_min(torch.finfo(own.dtype).tiny)
-    _, found = scipy.linalg.qr((own / scale).numpy(), mode="r", pivoting=True)
-    chosen = torch.from_numpy(found[:count].astype("int64"))
-    return chosen.repeat(-(-count // len(chosen)))[:count].to(factors.device)
+    """Of the candidates of each group as many as there are factors `(G, J, C)`, which tell these apart, `(G, J)`.
+
+    As pivoted QR has it: the longest column, then the longest of what is left of the others, and so on.
+    """
+    scale = factors.abs().amax(2, keepdim=True).clamp_min(torch.finfo(factors.dtype).tiny)
+    left, chosen = factors / scale, []
+    for _ in range(factors.shape[1]):
+        square = left.square().sum(1)
+        chosen.append(square.argmax(1))
+        index = chosen[-1][:, None, None]
+        axis = left.gather(2, index.expand(-1, left.shape[1], 1))
+        axis = axis / square.gather(1, index[..., 0])[..., None].sqrt().clamp_min(torch.finfo(left.dtype).tiny)
+        left = left - axis * (axis.mT @ left)
+    return torch.stack(chosen, 1)
 
 
 def inverse_of(at_probes: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torchbrdf.fitting.basis import Basis, predictor
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.objective import QuadraticObjective
 from torchbrdf.fitting.objective.factored import LEAST_PAIRS
-from torchbrdf.fitting.pair_factors import Groups, Probes, coefficients, factor_kinds, factors_of
+from torchbrdf.fitting.pair_factors import Probes, coefficients, factor_kinds, factors_of, groups_of, probes_of
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
 from torchbrdf.fitting.sufficient_statistics import Gathered
@@ -140,13 +140,13 @@ def _predictions(
 ) -> Iterator[tuple[slice | Tensor, Pairs, list[Tensor]]]:
     """Which pairs, these pairs, and each model's values there, `(M, 3, n)`; part after part."""
     kinds = list(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
-    groups = Groups.of(pairs, LEAST_PAIRS) if kinds and all(factor_kinds(model) for model in models) else None
+    groups = groups_of(pairs, LEAST_PAIRS) if kinds and all(factor_kinds(model) for model in models) else None
     if groups is None:
         predictors = [predictor(model) for model in models]
         for part, own in chunked(pairs, materials):
             yield part, own, [predict(own) for predict in predictors]
         return
-    probes = {kind: Probes.of(kind, pairs, groups) for kind in kinds}
+    probes = {kind: probes_of(kind, pairs, groups) for kind in kinds}
     colors = [_colors(model, probes, pairs.dtype) for model in models]
     for k, part in enumerate(groups):
         own = pairs.select(samples=part)

@@ -16,7 +16,18 @@ from torch import Tensor
 
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.batching import parallel_map
-from torchbrdf.fitting.pair_factors import Groups, Probes, candidates, factor_kinds, factors_of, pivots
+from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.pair_factors import (
+    Groups,
+    Probes,
+    candidates,
+    factor_kinds,
+    factors_of,
+    groups_of,
+    kept,
+    pivots,
+    probes_of,
+)
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
@@ -127,7 +138,7 @@ class Gathered:
     @cached_property
     def _by_loss(self) -> dict[int, SufficientStatistics]:
         """By the losses' identities."""
-        groups = Groups.of(self.measured.pairs, LEAST_PAIRS)
+        groups = groups_of(self.measured.pairs, LEAST_PAIRS)
         if groups is None:
             return {}
         found = [part for _, part in parallel_map(partial(_gathered, self.losses, self.kinds), self.measured)]
@@ -142,7 +153,7 @@ def _gathered(
 ) -> list[SufficientStatistics]:
     """Of some materials, for each loss."""
     problem = Problem(measured.pairs, measured.values, measured.weight)
-    groups = Groups.of(problem.pairs, LEAST_PAIRS)
+    groups = groups_of(problem.pairs, LEAST_PAIRS)
     assert groups is not None
     return gather_statistics(problem, losses, kinds, groups)
 
@@ -151,52 +162,70 @@ def gather_statistics(
     problem: Problem, losses: Sequence[Loss], kinds: Sequence[type[Lobe]], groups: Groups
 ) -> list[SufficientStatistics]:
     """One pass over all pairs: the sums of each group under each loss, and the group's probes."""
-    materials, sums = len(problem.target), [_Sums(problem) for _ in losses]
-    probes, at_probes = [], []
-    for index, start in zip(groups, groups.bounds, strict=False):
-        pairs = problem.pairs.select(samples=index)
-        wide = pairs.to(dtype=torch.float64)
-        factors = torch.cat([factors_of(kind, wide) for kind in kinds])
-        target = problem.target[:, index].double()
-        squares = target.square()
-        weight = None if problem.weight is None else problem.weight[:, index]
-        for loss, own in zip(losses, sums, strict=True):
-            own.add(loss, pairs, weight, factors, target, squares)
-        some = candidates(0, len(pairs)).to(factors.device)
-        place = some[pivots(factors[:, some])]
-        at_probes.append(factors[:, place])
-        probes.append(start + place)
-    wide = problem.pairs.select(samples=groups.places(torch.cat(probes))).to(dtype=torch.float64)
-    own_probes = {kind: Probes.of(kind, problem.pairs, groups) for kind in kinds}
-    known, there = (own_probes, wide, torch.stack(at_probes)), problem.weight
-    counts = target.new_full((materials,), len(problem.pairs)) if there is None else (there > 0).sum((1, 2)).double()
+    pairs, materials = problem.pairs, len(problem.target)
+    layout = kept(pairs, Layout, lambda: Layout(pairs, groups))
+    factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
+    probes, at_probes = kept(pairs, (Probes, *kinds), lambda: _joint_probes(pairs, kinds, groups))
+    sums = [_Sums(problem, loss, layout, factors) for loss in losses]
+    for part in layout.parts(materials):
+        sample = layout.sample[part]
+        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).movedim(1, 0).double()
+        squares = target.square().sum(3)
+        for own in sums:
+            own.add(part, target, squares)
+    known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
+    counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
     return [SufficientStatistics(*known, *own.totals(), 3 * counts.expand(materials)) for own in sums]
 
 
+def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -> Tensor:
+    """The B_j of all kinds in blocks, `(B, J, size)`, 0 in what fills up; in single precision if pairs are."""
+    found = torch.cat([factors_of(kind, pairs) for kind in kinds])
+    return layout.spread(found) * layout.real[:, None]
+
+
+def _joint_probes(pairs: Pairs, kinds: Sequence[type[Lobe]], groups: Groups) -> tuple[Pairs, Tensor]:
+    """Pairs that tell all factors apart, and these there."""
+    some = candidates(groups, pairs.device)
+    wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
+    factors = torch.cat([factors_of(kind, wide) for kind in kinds]).unflatten(1, some.shape).transpose(0, 1)
+    place = pivots(factors)
+    first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
+    there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
+    return wide.select(samples=(first + place).flatten()), there
+
+
 class _Sums:
-    """Those of a problem under one loss, group after group."""
+    """Those of a problem under one loss, some blocks after others.
 
-    def __init__(self, problem: Problem) -> None:
-        self.zero, self.total = torch.zeros(2, len(problem.target), dtype=torch.float64, device=problem.target.device)
-        self.grams: list[Tensor] = []
-        self.rights: list[Tensor] = []
+    counted: the weight of pairs times the square of what the loss multiplies values by, `(B, M|1, size)`.
+    """
 
-    def add(
-        self, loss: Loss, pairs: Pairs, weight: Tensor | None, factors: Tensor, target: Tensor, squares: Tensor
-    ) -> None:
-        """A group of n pairs; factors: `(J, n)`; target, and its squares: `(M, n, 3)`."""
-        materials, count = target.shape[:2]
-        nothing = pairs.cos_i.new_zeros(1, 1, count)
-        rate = channels.encode_with_derivative(loss, nothing, pairs)[1].double()
-        effective = channels.effective_weight(loss, pairs, weight)
-        counted = torch.ones_like(nothing, dtype=torch.float64) if effective is None else effective.double()
-        self.total += 3 * counted.sum((1, 2))
-        counted = (counted * rate.square()).expand(materials, 1, -1)
-        self.zero += torch.bmm(counted, squares).sum((1, 2))
-        weighted = factors * counted
-        self.grams.append(weighted @ factors.mT)
-        self.rights.append(torch.bmm(weighted, target))
+    def __init__(self, problem: Problem, loss: Loss, layout: Layout, factors: Tensor) -> None:
+        self.layout, self.factors = layout, factors
+        pairs, target = problem.pairs, problem.target
+        rate = channels.encode_with_derivative(loss, pairs.cos_i.new_zeros(1, 1, len(pairs)), pairs)[1]
+        effective = channels.effective_weight(loss, pairs, problem.weight)
+        counted = torch.ones_like(target[:1, :, :1].mT) if effective is None else effective
+        counted = counted.expand(-1, -1, len(pairs))
+        self.total = 3 * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
+        square = counted * rate.to(counted).square()
+        self.counted = layout.spread(square[:, 0]) * layout.real[:, None]
+        self.zero = torch.zeros(len(target), dtype=torch.float64, device=target.device)
+        count = factors.shape[1]
+        shape = (len(layout.groups), len(self.counted[0]), count)
+        self.gram = self.zero.new_zeros(*shape, count)
+        self.right = self.zero.new_zeros(len(layout.groups), len(target), count, 3)
+
+    def add(self, part: slice, target: Tensor, squares: Tensor) -> None:
+        """Some blocks; target: `(b, M, size, 3)`, float64; squares: their sums over channels, `(b, M, size)`."""
+        counted, factors, group = self.counted[part].double(), self.factors[part].double(), self.layout.group[part]
+        self.zero += (counted * squares).sum((0, 2))
+        weighted = counted[:, :, None] * factors[:, None]
+        self.gram.index_add_(0, group, weighted @ factors[:, None].mT)
+        self.right.index_add_(0, group, weighted @ target)
 
     def totals(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """gram, right, zero and total."""
-        return torch.stack(self.grams, 1), torch.stack(self.rights, 1), self.zero, self.total
+        gram, right = self.gram.transpose(0, 1), self.right.transpose(0, 1)
+        return gram.expand(len(right), -1, -1, -1), right, self.zero, self.total

@@ -287,9 +287,7 @@ def uniform_density(pairs: Pairs) -> Tensor:
     return (found / found.mean(-1, keepdim=True))[..., None]
 
 
-def rounded_absolute(
-    difference: Tensor, width: Tensor | float | None, out: Out = NEW
-) -> tuple[Tensor, Tensor, Tensor]:
+def rounded_absolute(difference: Tensor, width: Tensor | float | None, out: Out = NEW) -> tuple[Tensor, Tensor, Tensor]:
     """sqrt(d^2 + width^2), its derivative, and the curvature of the parabola that touches it at d and -d."""
     if width is None:
         tiny = torch.finfo(difference.dtype).tiny ** 0.5

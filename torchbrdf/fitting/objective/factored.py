@@ -8,15 +8,15 @@ over 85 small matrices. Pairs lie in blocks of one group each, so that these sum
 
 import inspect
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
-from torchbrdf.fitting.pair_factors import Groups, Probes, coefficients, factors_of
+from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.pair_factors import Groups, coefficients, factors_of, kept, probes_of
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import Loss, Problem
@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 
 # Pairs of a group, on average, from which on lobes are evaluated at probes.
 LEAST_PAIRS = 8
-# Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
-SMALLEST_BLOCK, LARGEST_BLOCK = 16, 512
-# Numbers that are worked on at a time, in five arrays: so many that calls do not count, and few enough for a cache.
-WORK = {"cpu": 1 << 17, "cuda": 1 << 26}
 
 
 class Sums(NamedTuple):
@@ -53,47 +49,12 @@ class Sums(NamedTuple):
         return self.value, gradient, jacobian.flatten(1, 2).mT @ curved
 
 
-class Layout:
-    """Pairs in blocks of one half angle each, the last of a group filled up.
-
-    size: of a block; group: of each of B blocks; sample: which of the pairs are in it, `(B, size)`; real: 1, or 0 of
-    what fills up.
-    """
-
-    def __init__(self, pairs: "Pairs", groups: Groups) -> None:
-        self.pairs, self.groups = pairs, groups
-        average = len(pairs) // (8 * len(groups))
-        self.size = min(max(1 << average.bit_length(), SMALLEST_BLOCK), LARGEST_BLOCK)
-        bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=pairs.device)
-        count = bounds.diff()
-        blocks = (count + self.size - 1) // self.size
-        every = torch.arange(len(groups), dtype=torch.int64, device=pairs.device)
-        self.group = every.repeat_interleave(blocks)
-        rank = torch.arange(len(self.group), dtype=torch.int64, device=pairs.device)
-        rank = (rank - (blocks.cumsum(0) - blocks)[self.group]) * self.size
-        place = rank[:, None] + torch.arange(self.size, dtype=torch.int64, device=pairs.device)
-        most = count[self.group, None]
-        self.sample = groups.places(bounds[self.group, None] + torch.minimum(place, most - 1))
-        self.real = (place < most).to(pairs.dtype)
-
-    def spread(self, values: Tensor) -> Tensor:
-        """Values of pairs `(..., N)`, `(B, ..., size)`, contiguous."""
-        found = values.index_select(-1, self.sample.flatten()).unflatten(-1, self.sample.shape)
-        return found.movedim(-2, 0).contiguous()
-
-    def parts(self, rows: int) -> Iterator[slice]:
-        """Blocks in parts, so small that arrays of three numbers for each of so many fits stay in the cache."""
-        numbers = WORK.get(self.pairs.device.type, WORK["cpu"])
-        step = max(1, numbers // (3 * rows * self.size))
-        for start in range(0, len(self.group), step):
-            yield slice(start, min(start + step, len(self.group)))
-
-
 class Factors:
     """The factors of some kinds of lobes on a layout, those first of which derivatives are wanted.
 
     Args:
-        layout: of pairs.
+        pairs: which.
+        layout: of these.
         kinds: of lobes, the first `active` of which have derivatives.
         exposure: what values are multiplied by first, `(1, N)`; None: nothing.
 
@@ -102,12 +63,12 @@ class Factors:
     """
 
     def __init__(
-        self, layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None
+        self, pairs: "Pairs", layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None
     ) -> None:
         self.layout = layout
-        self.probes = {kind: Probes.of(kind, layout.pairs, layout.groups) for kind in kinds}
+        self.probes = {kind: probes_of(kind, pairs, layout.groups) for kind in kinds}
         self.active = sum(self.probes[kind].inverse.shape[1] for kind in kinds[:active])
-        found = torch.cat([factors_of(kind, layout.pairs) for kind in kinds])
+        found = torch.cat([factors_of(kind, pairs) for kind in kinds])
         # What fills up is 0: no value, no slope.
         self.values = layout.spread(found if exposure is None else found * exposure) * layout.real[:, None]
         rows, columns = torch.triu_indices(self.active, self.active, device=found.device)
@@ -121,6 +82,19 @@ class Factors:
         """The factors on some pairs, not exposed, `(J, n)`, float64."""
         wide = pairs.to(dtype=torch.float64)
         return torch.cat([factors_of(kind, wide) for kind in self.probes])
+
+
+def _kept_factors(
+    pairs: "Pairs", layout: Layout, kinds: tuple[type[Lobe], ...], active: int, exposure: Tensor | None
+) -> Factors:
+    """Those of the last exposure under which they were asked for, as several losses have the same."""
+    own: dict[Any, tuple[Tensor | None, Factors]] = kept(pairs, Factors, dict)
+    key = kinds, active
+    former, found = own.get(key, (None, None))
+    same = former is exposure or (former is not None and exposure is not None and torch.equal(former, exposure))
+    if found is None or not same:
+        own[key] = exposure, Factors(pairs, layout, kinds, active, exposure)
+    return own[key][1]
 
 
 class FactoredProblem:
@@ -139,7 +113,7 @@ class FactoredProblem:
         methods = loss.compress_with_derivative, loss.penalty_with_derivatives
         self.works_in_place = all("out" in inspect.signature(method).parameters for method in methods)
         self._memory = code.new_empty(0)
-        self.layout = Layout(problem.pairs, groups)
+        self.layout = kept(problem.pairs, Layout, lambda: Layout(problem.pairs, groups))
         self.exposure = loss.exposure(problem.pairs)
         self.target, self.weight = self.layout.spread(code), None
         empty = self.layout.real == 0
@@ -159,7 +133,7 @@ class FactoredProblem:
         kinds = tuple(dict.fromkeys([*active, *(part.kind for part in basis.parts)]))
         key = kinds, len(active)
         if key not in self._factors:
-            self._factors[key] = Factors(self.layout, kinds, len(active), self.exposure)
+            self._factors[key] = _kept_factors(self.problem.pairs, self.layout, kinds, len(active), self.exposure)
         return self._factors[key]
 
     def sums(

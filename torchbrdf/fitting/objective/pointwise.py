@@ -14,7 +14,7 @@ from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
 from torchbrdf.fitting.objective.factored import LEAST_PAIRS, FactoredProblem, Factors, Sums
-from torchbrdf.fitting.pair_factors import Groups
+from torchbrdf.fitting.pair_factors import groups_of
 from torchbrdf.fitting.sampling import Chunks, chunked
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import Loss, Problem
@@ -136,7 +136,7 @@ class PointwiseObjective(GaussNewtonObjective):
     @cached_property
     def factored(self) -> FactoredProblem | None:
         """The problem by half angles; None where few pairs share one, or materials have pairs of their own."""
-        groups = Groups.of(self.problem.pairs, LEAST_PAIRS)
+        groups = groups_of(self.problem.pairs, LEAST_PAIRS)
         if groups is None:
             return None
         return FactoredProblem(self.problem, self.loss, self.encoded.weight, self.encoded.target, groups)
