@@ -40,7 +40,8 @@ class _Part:
     def __post_init__(self) -> None:
         color = self.kind.albedo_spec()
         self.color = None if color is None else self.names[color.name]
-        self.scalars = [self.names[spec.name] for spec in self.kind.term_scalars()]
+        own_scalars = self.kind.term_scalars()
+        self.scalars, self.sizes = [self.names[spec.name] for spec in own_scalars], [spec.size for spec in own_scalars]
         self.moves_terms = any(name in self.free for name in self.scalars)
         if self.color is not None:
             self.terms, self.slopes = 1, [(name, 0) for name in self.scalars if name in self.free]
@@ -64,8 +65,8 @@ class _Part:
 
     def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> tuple[list[Tensor], list[Tensor]]:
         """The derivatives of terms that are in use, and the terms, `(R|1, N)` each."""
-        kind, sizes = self.kind, [spec.size for spec in self.kind.term_scalars()]
-        scalars = [values[name].to(dtype).expand(-1, size) for name, size in zip(self.scalars, sizes, strict=True)]
+        kind = self.kind
+        scalars = [values[name].to(dtype).expand(-1, size) for name, size in zip(self.scalars, self.sizes, strict=True)]
         if self.color is not None:
             if scalars and not self.moves_terms:
                 return [], [kind.unit_response(pairs, *scalars)]

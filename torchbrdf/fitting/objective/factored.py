@@ -112,6 +112,7 @@ class FactoredProblem:
         self.problem, self.loss = problem, loss
         methods = loss.compress_with_derivative, loss.penalty_with_derivatives
         self.works_in_place = all("out" in inspect.signature(method).parameters for method in methods)
+        self.squares, self.one = type(loss).penalty is Loss.penalty, code.new_ones(())
         self._memory = code.new_empty(0)
         self.layout = kept(problem.pairs, Layout, lambda: Layout(problem.pairs, groups))
         self.exposure = loss.exposure(problem.pairs)
@@ -172,10 +173,10 @@ class FactoredProblem:
 
         color: what factors are multiplied by, `(G, 3m, J)`.
         """
-        layout, problems, square = self.layout, color.shape[1] // 3, factors.products.shape[1]
+        layout, problems, products = self.layout, color.shape[1] // 3, factors.products.shape[1]
         by_block, value = color[layout.group], color.new_zeros(problems, dtype=torch.float64)
         slopes = color.new_empty(len(by_block), 3 * problems, factors.active)
-        grams = color.new_empty(len(by_block), 3 * problems if curvature else 0, square)
+        grams = color.new_empty(len(by_block), 3 * problems if curvature else 0, products)
         for part in layout.parts(problems):
             work = self._work((part.stop - part.start, problems, 3, layout.size))
             x = torch.bmm(by_block[part], factors.values[part], out=work[0].flatten(1, 2)).view_as(work[0])
@@ -190,7 +191,9 @@ class FactoredProblem:
             slope = slope if rate is None else self._times(slope, rate)
             torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT, out=slopes[part])
             if curvature:
-                curve = curve if rate is None else torch.mul(curve, rate.square_(), out=rate)
+                if rate is not None:
+                    square = rate.square_()
+                    curve = square if curve is self.one else torch.mul(curve, square, out=square)
                 torch.bmm(curve.expand_as(x).flatten(1, 2), factors.products[part].mT, out=grams[part])
         if self.filled:  # with nothing: predictions and targets of 0
             nothing = color.new_zeros(1 if width is None else problems, 1, 1)
@@ -199,7 +202,8 @@ class FactoredProblem:
             color.new_zeros(len(color), *one.shape[1:], dtype=torch.float64).index_add_(0, layout.group, one.double())
             for one in (slopes, grams)
         ]
-        return value, by_group[0], by_group[1] if curvature else None
+        slope, curve = (2 * one for one in by_group) if self.squares else by_group
+        return value, slope, curve if curvature else None
 
     def _work(self, shape: tuple[int, ...]) -> Tensor:
         """Five arrays of this shape to work in, always the same ones: memory that is new costs more than arithmetic."""
@@ -211,14 +215,16 @@ class FactoredProblem:
     def _penalized(
         self, difference: Tensor, width: Tensor | None, spare: tuple[Tensor, ...]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Penalties, slopes and curvatures."""
+        """Penalties, slopes and curvatures; half of the last two of squares."""
+        if self.squares:
+            return torch.mul(difference, difference, out=spare[0]), difference, self.one
         if self.works_in_place:
             return self.loss.penalty_with_derivatives(difference, width, spare)
         return self.loss.penalty_with_derivatives(difference, width)
 
     def _times(self, one: Tensor, other: Tensor) -> Tensor:
         """Their product, in the place of the first if it is ours."""
-        mine = self.works_in_place and one.shape[-1] == self.layout.size
+        mine = self.works_in_place and one.shape[-1:] == (self.layout.size,)
         return one.mul_(other) if mine else one * other
 
     def _own(self, values: Tensor, rows: Tensor | None) -> Tensor:
