@@ -169,10 +169,9 @@ def gather_statistics(
     sums = [_Sums(problem, loss, layout, factors) for loss in losses]
     for part in layout.parts(materials):
         sample = layout.sample[part]
-        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).movedim(1, 0).double()
-        squares = target.square().sum(3)
+        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).permute(1, 0, 3, 2).double()
         for own in sums:
-            own.add(part, target, squares)
+            own.add(part, target)
     known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
     counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
     return [SufficientStatistics(*known, *own.totals(), 3 * counts.expand(materials)) for own in sums]
@@ -217,13 +216,15 @@ class _Sums:
         self.gram = self.zero.new_zeros(*shape, count)
         self.right = self.zero.new_zeros(len(layout.groups), len(target), count, 3)
 
-    def add(self, part: slice, target: Tensor, squares: Tensor) -> None:
-        """Some blocks; target: `(b, M, size, 3)`, float64; squares: their sums over channels, `(b, M, size)`."""
+    def add(self, part: slice, target: Tensor) -> None:
+        """Some blocks; target: `(b, M, 3, size)`, float64."""
         counted, factors, group = self.counted[part].double(), self.factors[part].double(), self.layout.group[part]
-        self.zero += (counted * squares).sum((0, 2))
-        weighted = counted[:, :, None] * factors[:, None]
-        self.gram.index_add_(0, group, weighted @ factors[:, None].mT)
-        self.right.index_add_(0, group, weighted @ target)
+        weighted = target * counted[:, :, None]
+        right = torch.bmm(weighted.flatten(1, 2), factors.mT).unflatten(1, target.shape[1:3])
+        self.right.index_add_(0, group, right.mT)
+        self.zero += weighted.mul_(target).sum((0, 2, 3))
+        for k in range(counted.shape[1]):
+            self.gram[:, k].index_add_(0, group, torch.bmm(factors * counted[:, k, None], factors.mT))
 
     def totals(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """gram, right, zero and total."""
