@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from common import MODELS, Timer, losses
 
-from torchbrdf.fitting import cross_score, fit, local_minima
+from torchbrdf.fitting import Gathered, cross_score, fit, local_minima
 from torchbrdf.lobes import make_model
 from torchbrdf.measured import load
 
@@ -27,17 +27,18 @@ def main(folder, strategy):
     known = json.loads(REFERENCE.read_text())["errors"] if REFERENCE.exists() else {}
     measured = load(folder)
     metrics = losses()
+    every = measured.within(80.0)
+    gathered = Gathered(every, [make_model(name, 2) for name in MODELS], list(metrics.values()))
     outliers, above, compared, worst = 0, [], 0, 0.0
     with Timer() as total:
         for name in MODELS:
             results = {}
             for metric, loss in metrics.items():
                 with Timer() as timer:
-                    results[metric] = fit(make_model(name, 2), measured, loss, strategy=strategy)
+                    results[metric] = fit(make_model(name, 2), measured, loss, strategy=strategy, gathered=gathered)
                 status = dict(Counter(map(str, results[metric].status)))
                 print(f"{name:18s} {metric:9s} {timer.clock:6.1f} s, {timer.cpu:6.1f} CPU s  {status}", flush=True)
-            every = measured.within(80.0)
-            cross = cross_score([result.model for result in results.values()], every, list(metrics.values()))
+            cross = cross_score([result.model for result in results.values()], every, list(metrics.values()), gathered)
             outliers += int(local_minima(cross, 1e-4).sum())
             for metric, result in results.items():
                 for material, error in zip(result.names, result.error.tolist(), strict=True):

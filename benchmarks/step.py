@@ -1,18 +1,24 @@
 """What one step on a full table costs, beside the least that is possible: one exp a pair and one pass over the data.
 
 python benchmarks/step.py NICKEL.binary
+
+Beside the step as fits take it, which evaluates lobes at probes only, the same with lobes evaluated on every pair.
 """
 
+import statistics
 import sys
+import time
 from functools import partial
 
 import torch
-from common import MODELS, lobes_of, seconds
+from common import MODELS, lobes_of
 
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.sufficient_statistics import Gathered
-from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
+from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LearnedLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import load
+
+LOSSES = (RMSLoss, CosineRMSLoss, CubeRootLoss, CompressedLoss, LogLoss, LearnedLoss)
 
 
 def main(path):
@@ -24,24 +30,40 @@ def main(path):
     print(f"{len(pairs)} pairs, one thread; floor {1e3 * floor:.2f} ms: one exp a pair, one pass over the data")
     for count in (1, 2):
         for name in MODELS:
-            for loss in (RMSLoss(), CosineRMSLoss(), CompressedLoss(), LogLoss(), CubeRootLoss()):
+            for loss in (kind() for kind in LOSSES):
                 model, values, free = lobes_of(name, measured, count)
-                objective, one = make_objective(model, Problem(pairs, target), loss), torch.tensor([0])
-                bound = objective.bind(free, values, one, 0.01 * objective.target_scale)
-                step = seconds(partial(bound.quadratic_model, free.encode(values), one))
-                label = f"{name:18s} {count} lobes {type(loss).__name__:15s}"
-                print(f"{label}{1e3 * step:8.2f} ms{step / floor:7.1f} floors")
                 if loss.is_quadratic:
-                    by_sums(measured, model, values, free, loss, floor, label)
+                    own = Gathered(measured, [model], [loss]).find(model, loss)
+                    objective, what = QuadraticObjective(own, loss), "by sums"
+                else:
+                    objective, what = make_objective(model, Problem(pairs, target), loss), "by factors"
+                step = step_of(objective, free, values)
+                plain = make_objective(model, Problem(pairs, target), loss)
+                plain.factored = None
+                every = step_of(plain, free, values)
+                label = f"{name:18s} {count} lobes {type(loss).__name__:15s} {what:10s}"
+                print(
+                    f"{label}{1e3 * step:8.2f} ms{step / floor:7.2f} floors; lobes on every pair "
+                    f"{1e3 * every:8.2f} ms{every / floor:7.1f} floors",
+                    flush=True,
+                )
 
 
-def by_sums(measured, model, values, free, loss, floor, label):
-    """The same step from sufficient statistics, and what their pass takes."""
-    gathering = seconds(lambda: Gathered(measured, [model], [loss]).find(model, loss), times=3)
-    objective, one = QuadraticObjective(Gathered(measured, [model], [loss]).find(model, loss), loss), torch.tensor([0])
-    bound = objective.bind(free, values, one)
-    step = seconds(partial(bound.quadratic_model, free.encode(values), one))
-    print(f"{label}{1e3 * step:8.2f} ms{step / floor:7.2f} floors by sums, gathered in {1e3 * gathering:.0f} ms")
+def seconds(work, times=9):
+    """The median CPU time of some runs, after one that warms up: a busy neighbour matters less than on the clock."""
+    found = []
+    for _ in range(times + 1):
+        began = time.thread_time()
+        work()
+        found.append(time.thread_time() - began)
+    return statistics.median(found[1:])
+
+
+def step_of(objective, free, values):
+    """Seconds for value, gradient and matrix."""
+    one = torch.tensor([0])
+    bound = objective.bind(free, values, one, 0.01 * objective.target_scale)
+    return seconds(partial(bound.quadratic_model, free.encode(values), one))
 
 
 if __name__ == "__main__":

@@ -12,8 +12,9 @@ from torchbrdf import Pairs, fitting
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting import cross_score
 from torchbrdf.fitting.objective import PointwiseObjective, QuadraticObjective
+from torchbrdf.fitting.pair_factors import Groups, factor_kinds
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
-from torchbrdf.fitting.sufficient_statistics import Gathered, Groups, factor_kinds
+from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import LOBES, Lambert, Sum, make_model
 from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.losses import LOSSES, CompressedLoss, CosineRMSLoss, Loss, Problem, RMSLoss
@@ -111,7 +112,7 @@ def test_pairs_in_any_order_give_the_same_errors(order):
         place = torch.randperm(len(measured.pairs), generator=torch.Generator().manual_seed(1))
         parts = (measured.pairs.select(samples=place), measured.values[:, place], measured.weight[:, place])
         measured = Measured.from_samples(*parts, names=measured.names)
-        assert Groups.of(measured.pairs).order is not None
+        assert Groups.of(measured.pairs, 64).order is not None
     models = [make_model(name, 1).double().batched(2) for name in ("ward", "ashikhmin_shirley")]
     found = cross_score(models, measured, [loss], Gathered(measured, models, [loss]))
     torch.testing.assert_close(found, cross_score(models, measured, [loss]), rtol=1e-9, atol=0)

@@ -40,7 +40,8 @@ class _Part:
     def __post_init__(self) -> None:
         color = self.kind.albedo_spec()
         self.color = None if color is None else self.names[color.name]
-        self.scalars = [self.names[spec.name] for spec in self.kind.term_scalars()]
+        own_scalars = self.kind.term_scalars()
+        self.scalars, self.sizes = [self.names[spec.name] for spec in own_scalars], [spec.size for spec in own_scalars]
         self.moves_terms = any(name in self.free for name in self.scalars)
         if self.color is not None:
             self.terms, self.slopes = 1, [(name, 0) for name in self.scalars if name in self.free]
@@ -64,8 +65,8 @@ class _Part:
 
     def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> tuple[list[Tensor], list[Tensor]]:
         """The derivatives of terms that are in use, and the terms, `(R|1, N)` each."""
-        kind, sizes = self.kind, [spec.size for spec in self.kind.term_scalars()]
-        scalars = [values[name].to(dtype).expand(-1, size) for name, size in zip(self.scalars, sizes, strict=True)]
+        kind = self.kind
+        scalars = [values[name].to(dtype).expand(-1, size) for name, size in zip(self.scalars, self.sizes, strict=True)]
         if self.color is not None:
             if scalars and not self.moves_terms:
                 return [], [kind.unit_response(pairs, *scalars)]
@@ -125,11 +126,43 @@ class Basis:
 
     def jacobian(self, values: ParameterDict, albedos: Tensor) -> Tensor:
         """How the used responses make up the derivative of each channel by each of P free numbers, `(R, 3, Q, P)`."""
-        found = albedos.new_zeros(len(albedos), 3, self.used, sum(one.width for one in self.free))
+        found = self._constant.to(albedos).repeat(len(albedos), 1, 1, 1)
+        for names, rows, columns, terms in self._of_scalars:
+            slope = albedos[:, :, terms]
+            if names:
+                slope = slope * torch.cat([values[name] for name in names], 1).to(albedos)[:, None]
+            found[:, :, rows, columns] = slope
         for part, first in zip(self.parts, self._first_terms, strict=True):
-            add = self._add_albedo if part.color is not None else self._add_coefficients
-            add(found, part, first, values, albedos)
+            if part.color is None:
+                self._add_coefficients(found, part, first, values, albedos)
         return found
+
+    @cached_property
+    def _constant(self) -> Tensor:
+        """What of the jacobian is always the same, as values are linear in colours, `(1, 3, Q, P)`."""
+        found = torch.zeros(1, 3, self.used, sum(one.width for one in self.free), dtype=torch.float64, device="cpu")
+        for part, first in zip(self.parts, self._first_terms, strict=True):
+            for name, one, columns in self._columns:
+                if part.color is not None and name == part.color:
+                    for channel in range(3):
+                        column = columns.start + (channel if one.width == 3 else 0)
+                        found[:, channel, len(self.slopes) + first, column] = 1
+        return found
+
+    @cached_property
+    def _of_scalars(self) -> list[tuple[list[str], list[int], list[int], list[int]]]:
+        """Where scalars of lobes with a colour are: their names, if logarithms are moved; rows, columns and terms."""
+        found: dict[bool, list[tuple[str, int, int, int]]] = {True: [], False: []}
+        for part, first in zip(self.parts, self._first_terms, strict=True):
+            for name, one, columns in self._columns:
+                if part.color is not None and name != part.color and name in part.free:
+                    found[one.spec.log].append((name, self._rows[name, 0], columns.start, first))
+        made = []
+        for is_log, own in found.items():
+            if own:
+                names, rows, columns_, terms = (list(each) for each in zip(*own, strict=True))
+                made.append((names if is_log else [], rows, columns_, terms))
+        return made
 
     @cached_property
     def _first_terms(self) -> list[int]:
@@ -150,16 +183,6 @@ class Basis:
             found += [(name, one, slice(p, p + one.width)) for name in one.names]
             p += one.width
         return found
-
-    def _add_albedo(self, found: Tensor, part: _Part, first: int, values: ParameterDict, albedos: Tensor) -> None:
-        for name, one, columns in self._columns:
-            if name == part.color:
-                for channel in range(3):
-                    column = columns.start + (channel if one.width == 3 else 0)
-                    found[:, channel, len(self.slopes) + first, column] = 1
-            elif name in part.free:
-                rate = values[name].double() if one.spec.log else 1
-                found[:, :, self._rows[name, 0], columns.start] += albedos[:, :, first] * rate
 
     def _add_coefficients(self, found: Tensor, part: _Part, first: int, values: ParameterDict, albedos: Tensor) -> None:
         changes = part.coefficient_slopes(values) if part.moves_coefficients else {}

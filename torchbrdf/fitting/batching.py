@@ -10,7 +10,7 @@ from torchbrdf.measured import Measured
 from torchbrdf.parallel import Lost, process_map, thread_map
 
 # Pairs times materials that a thread holds at a time, at about 30 bytes each; the work on them is done in small parts.
-MEMORY = 4_000_000
+MEMORY = 16_000_000
 # The same on a GPU, where one batch at a time is best.
 GPU_MEMORY = 400_000_000
 # Pairs times materials above which processes are worth their start.

@@ -56,9 +56,8 @@ class FreeParameter:
             value = value.mean(1, keepdim=True)
         return self._scaled(value.expand(-1, self.width).clamp(self.spec.lower, self.spec.upper))
 
-    def decode(self, x: Tensor, dtype: torch.dtype) -> Tensor:
-        """From the solver's numbers to the parameter, `(M, *shape)` or `(M, 1)`."""
-        value = (x.exp() if self.spec.log else x).to(dtype)
+    def shaped(self, value: Tensor) -> Tensor:
+        """Numbers `(M, width)` as the parameter, `(M, *shape)` or `(M, 1)`."""
         return value if self.width != self.spec.size else value.reshape(-1, *self.spec.shape)
 
     def limits(self) -> tuple[Tensor, Tensor]:
@@ -111,9 +110,16 @@ class Parametrization:
 
     def decode(self, x: Tensor, dtype: torch.dtype) -> ParameterDict:
         """The free parameters of vectors `(M, P)`."""
-        parts = x.split([one.width for one in self.free], 1)
-        found = zip(self.free, parts, strict=True)
-        return {name: value for one, part in found for value in [one.decode(part, dtype)] for name in one.names}
+        is_log = self._is_log.to(x.device)
+        values = torch.where(is_log, torch.where(is_log, x, 0).exp(), x).to(dtype)
+        found = zip(self.free, values.split([one.width for one in self.free], 1), strict=True)
+        return {name: value for one, part in found for value in [one.shaped(part)] for name in one.names}
+
+    @cached_property
+    def _is_log(self) -> Tensor:
+        """Whether a number is a logarithm, `(P,)`."""
+        found = [one.spec.log for one in self.free for _ in range(one.width)]
+        return torch.tensor(found, dtype=torch.bool, device="cpu")
 
     def limits(self) -> tuple[Tensor, Tensor]:
         """Lower and upper bounds of the vector, `(P,)` each."""

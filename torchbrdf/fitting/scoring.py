@@ -1,20 +1,24 @@
 """Errors of fitted models on every valid sample, and the paper's test for local minima."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
-from torchbrdf.fitting.basis import predictor
+from torchbrdf.fitting.basis import Basis, predictor
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.objective import QuadraticObjective
+from torchbrdf.fitting.objective.factored import LEAST_PAIRS
+from torchbrdf.fitting.pair_factors import Probes, coefficients, factor_kinds, factors_of, groups_of, probes_of
+from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
 from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
+from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import Lost
 from torchbrdf.precision import undisturbed
 
@@ -116,20 +120,47 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
         return torch.stack([torch.stack(row) for row in found]).cpu()
     sums = torch.zeros(len(losses), len(models), len(target), dtype=torch.float64, device=target.device)
     totals = torch.zeros_like(sums[:, 0])
-    predictors = [predictor(model) for model in models]
-    for part, own in chunked(pairs, len(target)):
+    for part, own, predictions in _predictions(models, pairs, len(target)):
         wanted = target[:, part].mT.contiguous()
-        predictions = [predict(own).expand_as(wanted) for predict in predictors]
         for k, loss in enumerate(losses):
             counted = channels.effective_weight(loss, own, None if weight is None else weight[:, part])
             full = torch.ones_like(wanted[:1, :1]) if counted is None else counted
             totals[k] += full.expand(-1, 3, -1).sum((1, 2), dtype=torch.float64)
             encoded = channels.encode(loss, wanted, own)
             for b, prediction in enumerate(predictions):
-                penalty = loss.penalty(channels.encode(loss, prediction, own) - encoded)
+                found = channels.encode(loss, prediction.expand_as(wanted), own)
+                penalty = loss.penalty(found - encoded)
                 sums[k, b] += (penalty if counted is None else penalty * counted).sum((1, 2)).double()
     means = sums / totals[:, None]
     return torch.stack([loss.finalize(mean) for loss, mean in zip(losses, means, strict=True)]).cpu()
+
+
+def _predictions(
+    models: Sequence[Lobe], pairs: Pairs, materials: int
+) -> Iterator[tuple[slice | Tensor, Pairs, list[Tensor]]]:
+    """Which pairs, these pairs, and each model's values there, `(M, 3, n)`; part after part."""
+    kinds = list(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
+    groups = groups_of(pairs, LEAST_PAIRS) if kinds and all(factor_kinds(model) for model in models) else None
+    if groups is None:
+        predictors = [predictor(model) for model in models]
+        for part, own in chunked(pairs, materials):
+            yield part, own, [predict(own) for predict in predictors]
+        return
+    probes = {kind: probes_of(kind, pairs, groups) for kind in kinds}
+    colors = [_colors(model, probes, pairs.dtype) for model in models]
+    for k, part in enumerate(groups):
+        own = pairs.select(samples=part)
+        factors = torch.cat([factors_of(kind, own) for kind in kinds])
+        yield part, own, [color[k] @ factors for color in colors]
+
+
+def _colors(model: Lobe, probes: dict[type[Lobe], Probes], dtype: torch.dtype) -> Tensor:
+    """What factors are multiplied by to make a model's values, `(G, M, 3, J)`."""
+    basis, values = Basis(Parametrization(model, [])), get_parameters(model)
+    materials = len(next(iter(values.values())))
+    responses = coefficients(basis, probes, values, materials)
+    color = basis.albedos(values, torch.float64) @ responses.flatten(2)
+    return color.unflatten(2, responses.shape[2:]).permute(2, 0, 1, 3).to(dtype)
 
 
 def local_minima(cross: Tensor, tolerance: float = 1e-4) -> Tensor:

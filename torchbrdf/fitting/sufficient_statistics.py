@@ -7,17 +7,27 @@ terms at as many probes, pairs of the group that tell the B_j apart, so that lob
 MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-import scipy.linalg
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.pair_factors import (
+    Groups,
+    Probes,
+    candidates,
+    factor_kinds,
+    factors_of,
+    groups_of,
+    kept,
+    pivots,
+    probes_of,
+)
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
@@ -26,34 +36,6 @@ from torchbrdf.parallel import Lost
 
 # Pairs of a group, on average, from which on sums are worth their pass.
 LEAST_PAIRS = 64
-# Pairs of a group of which its probes are chosen.
-_CANDIDATES = 64
-
-
-@dataclass(frozen=True)
-class Groups:
-    """Pairs by theta_h: an index that sorts them, None where they are sorted, and where each group begins and ends."""
-
-    order: Tensor | None
-    bounds: list[int]
-
-    @classmethod
-    def of(cls, pairs: Pairs) -> "Groups | None":
-        """None where there are too many for sums to be worth their while, or materials have pairs of their own."""
-        if len(pairs.shape) != 2 or pairs.shape[0] != 1 or not len(pairs):
-            return None
-        angle, order = pairs.tan2_h[0], None
-        counts = torch.unique_consecutive(angle, return_counts=True)[1]
-        if len(counts) * LEAST_PAIRS > len(pairs):
-            order = angle.argsort(stable=True)
-            counts = torch.unique_consecutive(angle[order], return_counts=True)[1]
-        if len(counts) * LEAST_PAIRS > len(pairs):
-            return None
-        return cls(order, [0, *counts.cumsum(0).tolist()])
-
-    def __iter__(self) -> Iterator[slice | Tensor]:
-        for start, stop in zip(self.bounds, self.bounds[1:], strict=False):
-            yield slice(start, stop) if self.order is None else self.order[start:stop]
 
 
 @dataclass(frozen=True)
@@ -61,8 +43,8 @@ class SufficientStatistics:
     """What is left of M materials under one loss: sums over each of G groups.
 
     Args:
-        kinds: of the lobes whose J factors B these are.
-        probes: P of each group, `(1, G P)`, float64.
+        own: where the lobes of each kind are evaluated; of all kinds together there are J factors B.
+        probes: P of each group, `(1, G P)`, float64, which tell all factors apart, for functions of any kind.
         at_probes: the factors there, `(G, J, P)`, float64 as all that follows.
         gram: sum w B B', `(M, G, J, J)`; w is the weight times the square of what the loss multiplies values by.
         right: sum w t B, `(M, G, J, 3)`.
@@ -71,7 +53,7 @@ class SufficientStatistics:
         counts: how many values count, `(M,)`.
     """
 
-    kinds: tuple[type[Lobe], ...]
+    own: dict[type[Lobe], Probes]
     probes: Pairs
     at_probes: Tensor
     gram: Tensor
@@ -82,39 +64,31 @@ class SufficientStatistics:
 
     def select(self, rows: Sequence[int] | Tensor) -> "SufficientStatistics":
         """Those of some materials."""
-        own = (one[rows] for one in (self.gram, self.right, self.zero, self.total, self.counts))
-        return SufficientStatistics(self.kinds, self.probes, self.at_probes, *own)
+        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_MATERIALS})
 
     def of_kinds(self, kinds: Sequence[type[Lobe]]) -> "SufficientStatistics":
         """Those of some kinds of lobes."""
-        wide = self.probes.select(samples=slice(1))
-        sizes = [len(kind.pair_factors(wide)) for kind in self.kinds]
-        starts = {kind: sum(sizes[:k]) for k, kind in enumerate(self.kinds)}
-        chosen = [starts[kind] + j for kind in kinds for j in range(sizes[self.kinds.index(kind)])]
-        return SufficientStatistics(
-            tuple(kinds),
-            self.probes,
-            self.at_probes[:, chosen],
-            self.gram[:, :, chosen][..., chosen],
-            self.right[:, :, chosen],
-            self.zero,
-            self.total,
-            self.counts,
+        chosen, start = dict[type[Lobe], list[int]](), 0
+        for kind, own in self.own.items():
+            size = own.inverse.shape[1]
+            chosen[kind] = list(range(start, start + size))
+            start += size
+        rows = [j for kind in kinds for j in chosen[kind]]
+        return replace(
+            self,
+            own={kind: self.own[kind] for kind in kinds},
+            at_probes=self.at_probes[:, rows],
+            gram=self.gram[:, :, rows][..., rows],
+            right=self.right[:, :, rows],
         )
 
     @classmethod
     def joined(cls, parts: Sequence["SufficientStatistics"]) -> "SufficientStatistics":
         """Those of several batches of materials as one."""
-        first = parts[0]
-        names = ("gram", "right", "zero", "total", "counts")
-        sums = (torch.cat([getattr(part, name) for part in parts]) for name in names)
-        return cls(first.kinds, first.probes, first.at_probes, *sums)
+        return replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in _OF_MATERIALS})
 
 
-def factor_kinds(model: Lobe) -> list[type[Lobe]]:
-    """The kinds of a model's lobes; none, if one of them has no `pair_factors`."""
-    kinds = list(dict.fromkeys(type(lobe) for lobe in model.components()))
-    return kinds if all(kind.has_pair_factors() for kind in kinds) else []
+_OF_MATERIALS = ("gram", "right", "zero", "total", "counts")
 
 
 class Gathered:
@@ -164,7 +138,7 @@ class Gathered:
     @cached_property
     def _by_loss(self) -> dict[int, SufficientStatistics]:
         """By the losses' identities."""
-        groups = Groups.of(self.measured.pairs)
+        groups = groups_of(self.measured.pairs, LEAST_PAIRS)
         if groups is None:
             return {}
         found = [part for _, part in parallel_map(partial(_gathered, self.losses, self.kinds), self.measured)]
@@ -179,7 +153,7 @@ def _gathered(
 ) -> list[SufficientStatistics]:
     """Of some materials, for each loss."""
     problem = Problem(measured.pairs, measured.values, measured.weight)
-    groups = Groups.of(problem.pairs)
+    groups = groups_of(problem.pairs, LEAST_PAIRS)
     assert groups is not None
     return gather_statistics(problem, losses, kinds, groups)
 
@@ -188,72 +162,71 @@ def gather_statistics(
     problem: Problem, losses: Sequence[Loss], kinds: Sequence[type[Lobe]], groups: Groups
 ) -> list[SufficientStatistics]:
     """One pass over all pairs: the sums of each group under each loss, and the group's probes."""
-    materials, sums = len(problem.target), [_Sums(problem) for _ in losses]
-    probes, at_probes = [], []
-    for index, start in zip(groups, groups.bounds, strict=False):
-        pairs = problem.pairs.select(samples=index)
-        factors = _factors(kinds, pairs)
-        target = problem.target[:, index].double()
-        squares = target.square()
-        weight = None if problem.weight is None else problem.weight[:, index]
-        for loss, own in zip(losses, sums, strict=True):
-            own.add(loss, pairs, weight, factors, target, squares)
-        place = _probes(factors)
-        at_probes.append(factors[:, place])
-        probes.append(start + place)
-    place = torch.cat(probes)
-    place = place if groups.order is None else groups.order[place]
-    wide = problem.pairs.select(samples=place).to(dtype=torch.float64)
-    known, there = (tuple(kinds), wide, torch.stack(at_probes)), problem.weight
-    counts = target.new_full((materials,), len(problem.pairs)) if there is None else (there > 0).sum((1, 2)).double()
+    pairs, materials = problem.pairs, len(problem.target)
+    layout = kept(pairs, Layout, lambda: Layout(pairs, groups))
+    factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
+    probes, at_probes = kept(pairs, (Probes, *kinds), lambda: _joint_probes(pairs, kinds, groups))
+    sums = [_Sums(problem, loss, layout, factors) for loss in losses]
+    for part in layout.parts(materials):
+        sample = layout.sample[part]
+        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).permute(1, 0, 3, 2).double()
+        for own in sums:
+            own.add(part, target)
+    known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
+    counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
     return [SufficientStatistics(*known, *own.totals(), 3 * counts.expand(materials)) for own in sums]
 
 
+def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -> Tensor:
+    """The B_j of all kinds in blocks, `(B, J, size)`, 0 in what fills up; in single precision if pairs are."""
+    found = torch.cat([factors_of(kind, pairs) for kind in kinds])
+    return layout.spread(found) * layout.real[:, None]
+
+
+def _joint_probes(pairs: Pairs, kinds: Sequence[type[Lobe]], groups: Groups) -> tuple[Pairs, Tensor]:
+    """Pairs that tell all factors apart, and these there."""
+    some = candidates(groups, pairs.device)
+    wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
+    factors = torch.cat([factors_of(kind, wide) for kind in kinds]).unflatten(1, some.shape).transpose(0, 1)
+    place = pivots(factors)
+    first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
+    there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
+    return wide.select(samples=(first + place).flatten()), there
+
+
 class _Sums:
-    """Those of a problem under one loss, group after group."""
+    """Those of a problem under one loss, some blocks after others.
 
-    def __init__(self, problem: Problem) -> None:
-        self.zero, self.total = torch.zeros(2, len(problem.target), dtype=torch.float64, device=problem.target.device)
-        self.grams: list[Tensor] = []
-        self.rights: list[Tensor] = []
+    counted: the weight of pairs times the square of what the loss multiplies values by, `(B, M|1, size)`.
+    """
 
-    def add(
-        self, loss: Loss, pairs: Pairs, weight: Tensor | None, factors: Tensor, target: Tensor, squares: Tensor
-    ) -> None:
-        """A group of n pairs; factors: `(J, n)`; target, and its squares: `(M, n, 3)`."""
-        materials, count = target.shape[:2]
-        nothing = pairs.cos_i.new_zeros(1, 1, count)
-        rate = channels.encode_with_derivative(loss, nothing, pairs)[1].double()
-        effective = channels.effective_weight(loss, pairs, weight)
-        counted = torch.ones_like(nothing, dtype=torch.float64) if effective is None else effective.double()
-        self.total += 3 * counted.sum((1, 2))
-        counted = (counted * rate.square()).expand(materials, 1, -1)
-        self.zero += torch.bmm(counted, squares).sum((1, 2))
-        weighted = factors * counted
-        self.grams.append(weighted @ factors.mT)
-        self.rights.append(torch.bmm(weighted, target))
+    def __init__(self, problem: Problem, loss: Loss, layout: Layout, factors: Tensor) -> None:
+        self.layout, self.factors = layout, factors
+        pairs, target = problem.pairs, problem.target
+        rate = channels.encode_with_derivative(loss, pairs.cos_i.new_zeros(1, 1, len(pairs)), pairs)[1]
+        effective = channels.effective_weight(loss, pairs, problem.weight)
+        counted = torch.ones_like(target[:1, :, :1].mT) if effective is None else effective
+        counted = counted.expand(-1, -1, len(pairs))
+        self.total = 3 * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
+        square = counted * rate.to(counted).square()
+        self.counted = layout.spread(square[:, 0]) * layout.real[:, None]
+        self.zero = torch.zeros(len(target), dtype=torch.float64, device=target.device)
+        count = factors.shape[1]
+        shape = (len(layout.groups), len(self.counted[0]), count)
+        self.gram = self.zero.new_zeros(*shape, count)
+        self.right = self.zero.new_zeros(len(layout.groups), len(target), count, 3)
+
+    def add(self, part: slice, target: Tensor) -> None:
+        """Some blocks; target: `(b, M, 3, size)`, float64."""
+        counted, factors, group = self.counted[part].double(), self.factors[part].double(), self.layout.group[part]
+        weighted = target * counted[:, :, None]
+        right = torch.bmm(weighted.flatten(1, 2), factors.mT).unflatten(1, target.shape[1:3])
+        self.right.index_add_(0, group, right.mT)
+        self.zero += weighted.mul_(target).sum((0, 2, 3))
+        for k in range(counted.shape[1]):
+            self.gram[:, k].index_add_(0, group, torch.bmm(factors * counted[:, k, None], factors.mT))
 
     def totals(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """gram, right, zero and total."""
-        return torch.stack(self.grams, 1), torch.stack(self.rights, 1), self.zero, self.total
-
-
-def _factors(kinds: Sequence[type[Lobe]], pairs: Pairs) -> Tensor:
-    """The B_j of all kinds on pairs `(1, n)`, float64, `(J, n)`."""
-    wide = pairs.to(dtype=torch.float64)
-    found = [(kind, one) for kind in kinds for one in kind.pair_factors(wide)]
-    for kind, one in found:
-        if not one.isfinite().all():
-            raise UsageError(f"{kind.__name__}.pair_factors: expected finite values, found some that are not")
-    return torch.cat([one.expand(1, len(pairs)) for _, one in found])
-
-
-def _probes(factors: Tensor) -> Tensor:
-    """As many of a group's pairs as there are factors `(J, n)`, which tell these apart, by pivoted QR."""
-    count, pairs = factors.shape
-    some = torch.linspace(0, pairs - 1, min(pairs, _CANDIDATES), dtype=torch.float64, device="cpu").long()
-    own = factors[:, some.to(factors.device)].cpu()
-    scale = own.abs().amax(1, keepdim=True).clamp_min(torch.finfo(own.dtype).tiny)
-    _, pivots = scipy.linalg.qr((own / scale).numpy(), mode="r", pivoting=True)
-    chosen = torch.from_numpy(pivots[:count].astype("int64"))
-    return some[chosen.repeat(-(-count // len(chosen)))[:count]].to(factors.device)
+        gram, right = self.gram.transpose(0, 1), self.right.transpose(0, 1)
+        return gram.expand(len(right), -1, -1, -1), right, self.zero, self.total

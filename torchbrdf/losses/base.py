@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.losses import derivatives
+from torchbrdf.losses.elementary import NEW, Out
 from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.problem import MeasuredValues, Problem
 from torchbrdf.pairs import Pairs
@@ -30,7 +31,8 @@ class Loss(nn.Module):
     `penalty(encode(prediction) - encode(target))` over every channel of every pair. A subclass registers itself, says
     in `needs` which quantities of Pairs it reads, and gives
 
-    - `encode`, and `penalty` where it is not the square, each a function of one value at a time; or
+    - `encode`, and `penalty` where it is not the square, each a function of one value at a time; or, where `encode` is
+      a function of a value times what depends on the pair alone, `exposure` and `compress` in its place; or
     - `error`, for any other error of each material; or
     - `forward` alone, which `torchbrdf.fit` takes as it takes any function of (prediction, target).
 
@@ -83,7 +85,13 @@ class Loss(nn.Module):
         # What is derived from a method that is overridden is not inherited from further up.
         if "encode" in own and "has_linear_encoding" not in own:
             cls.has_linear_encoding = False
-        for method, derived in (("encode", "encode_with_derivative"), ("penalty", "penalty_with_derivatives")):
+        if own.keys() & {"encode", "encode_with_derivative"} and "exposure" not in own:
+            cls.exposure = Loss.exposure  # type: ignore[method-assign]
+        for method, derived in (
+            ("encode", "encode_with_derivative"),
+            ("compress", "compress_with_derivative"),
+            ("penalty", "penalty_with_derivatives"),
+        ):
             if method in own and derived not in own:
                 setattr(cls, derived, getattr(Loss, derived))
 
@@ -102,9 +110,11 @@ class Loss(nn.Module):
     def has_closed_derivatives(self) -> bool:
         """Whether it gives the derivatives of `encode` and `penalty` itself."""
         kind = type(self)
-        squares = kind.penalty is Loss.penalty
+        squares, plain = kind.penalty is Loss.penalty, kind.compress is Loss.compress
         closed_penalty = squares or kind.penalty_with_derivatives is not Loss.penalty_with_derivatives
-        return closed_penalty and kind.encode_with_derivative is not Loss.encode_with_derivative
+        closed_compress = plain or kind.compress_with_derivative is not Loss.compress_with_derivative
+        closed_encode = kind.encode_with_derivative is not Loss.encode_with_derivative
+        return closed_penalty and (closed_encode or (kind.exposure is not Loss.exposure and closed_compress))
 
     @property
     def is_quadratic(self) -> bool:
@@ -125,30 +135,57 @@ class Loss(nn.Module):
         """Whether the error is a mean over pairs of penalties, so that parts of the pairs can be summed apart."""
         return self.objective == "pointwise" and self.is_elementwise()
 
+    def exposure(self, pairs: Pairs | None) -> Tensor | None:
+        """What `encode` multiplies values by before all else, `(..., N)`; None: `encode` says all there is."""
+        return None
+
+    def compress(self, x: Tensor) -> Tensor:
+        """What is compared of values times `exposure`: these as they are."""
+        return x
+
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor | None]:
+        """`compress`, and its derivative; None: it is 1. By autograd, unless a loss knows a shorter way.
+
+        out: two tensors like x, where both may be put.
+        """
+        if type(self).compress is Loss.compress:
+            return x, None
+        return derivatives.derivative_of(self.compress, x)
+
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """What is compared of each value, `(..., N, C)`."""
-        raise NotImplementedError(
-            f"{type(self).__name__}: expected a method encode, error or forward, found none of them"
-        )
+        exposure = self.exposure(pairs)
+        if exposure is None:
+            raise NotImplementedError(
+                f"{type(self).__name__}: expected a method encode, error or forward, found none of them"
+            )
+        return self.compress(values * exposure[..., None])
 
     def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """`encode`, and its derivative by each value; by autograd, unless a loss knows a shorter way."""
-        return derivatives.encode_with_derivative(self, values, pairs)
+        exposure = self.exposure(pairs)
+        if exposure is None:
+            return derivatives.derivative_of(lambda point: self.encode(point, pairs), values)
+        column = exposure[..., None]
+        encoded, rate = self.compress_with_derivative(values * column)
+        return encoded, column if rate is None else rate * column
 
     def penalty(self, difference: Tensor) -> Tensor:
         """What each difference adds, at least 0: its square."""
         return difference.square()
 
     def penalty_with_derivatives(
-        self, difference: Tensor, width: Tensor | None = None
+        self, difference: Tensor, width: Tensor | None = None, out: Out = NEW
     ) -> tuple[Tensor, Tensor, Tensor]:
         """`penalty`, its derivative, and the curvature, at least 0, of a parabola that stands in for it nearby.
 
         width, which broadcasts: a penalty with a cusp at 0 is rounded there over differences of this size. The square
-        is its own parabola; of other penalties by autograd, unless a loss knows a shorter way.
+        is its own parabola; of other penalties by autograd, unless a loss knows a shorter way. out: three tensors like
+        the difference, where these may be put.
         """
         if type(self).penalty is Loss.penalty:
-            return difference.square(), 2 * difference, difference.new_full((1, 1), 2)
+            square = torch.mul(difference, difference, out=out[0])
+            return square, torch.mul(difference, 2, out=out[1]), difference.new_full((1, 1), 2)
         return derivatives.penalty_with_derivatives(self, difference, width)
 
     def sample_weight(self, pairs: Pairs) -> Tensor | None:

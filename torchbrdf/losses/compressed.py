@@ -6,6 +6,7 @@ from torch import Tensor
 from torchbrdf.color import safe_power
 from torchbrdf.errors import UsageError
 from torchbrdf.losses.base import LOSSES, Loss, cosine
+from torchbrdf.losses.elementary import NEW, Out, power, where_positive
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
 
@@ -46,17 +47,18 @@ class CompressedLoss(Loss):
         rest = [part for part in super().extra_repr().split(", ") if part and not part.startswith("exponent")]
         return ", ".join([f"exponent={self.exponent:g}", *rest])
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """(M cos_i)^p."""
-        x = (values * cosine(pairs)).clamp_min(0)
-        return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
+    def exposure(self, pairs: Pairs | None) -> Tensor:
+        """cos_i."""
+        return cosine(pairs)[..., 0]
 
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """p (M cos_i)^(p - 1) cos_i, 0 for values of 0 or less."""
-        cos_i = cosine(pairs)
-        x = (values * cos_i).clamp_min(0)
-        positive = x > 0
-        base = torch.where(positive, x, 1) if self.eps == 0 else x + self.eps
-        power = base.pow(self.exponent)
-        slope = torch.where(positive, self.exponent * cos_i * power / base, 0)
-        return (torch.where(positive, power, 0) if self.eps == 0 else power), slope
+    def compress(self, x: Tensor) -> Tensor:
+        """x^p."""
+        x = x.clamp_min(0)
+        return safe_power(x, self.exponent) if self.eps == 0 else power(x + self.eps, self.exponent)
+
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
+        """p x^(p - 1), 0 for values of 0 or less."""
+        base = torch.where(x > 0, x, 1) if self.eps == 0 else torch.clamp_min(x, 0, out=out[1]).add_(self.eps)
+        code = power(base, self.exponent, out[0])
+        slope = torch.addcdiv(x.new_zeros(()), code, base, value=self.exponent, out=out[1])
+        return (torch.where(x > 0, code, 0) if self.eps == 0 else code), where_positive(slope, x)

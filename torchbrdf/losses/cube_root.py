@@ -5,6 +5,7 @@ from torch import Tensor
 
 from torchbrdf.color import safe_power
 from torchbrdf.losses.base import LOSSES, Loss, cosine
+from torchbrdf.losses.elementary import NEW, Out, power
 from torchbrdf.pairs import Pairs
 from torchbrdf.reduction import Reduction
 
@@ -41,14 +42,9 @@ class CubeRootLoss(Loss):
         super().__init__(reduction)
         self.eps = eps
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """M cos_i."""
-        return values * cosine(pairs)
-
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
+    def exposure(self, pairs: Pairs | None) -> Tensor:
         """cos_i."""
-        cos_i = cosine(pairs)
-        return values * cos_i, cos_i
+        return cosine(pairs)[..., 0]
 
     def pointwise(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> Tensor:
         """The cube root of the squared difference, which is taken first: equal values are then exactly equal."""
@@ -60,20 +56,23 @@ class CubeRootLoss(Loss):
             return safe_power(difference.square(), 1 / 3)
         root = self.eps ** (1 / 3)
         if not difference.requires_grad:
-            return difference.square().add_(self.eps).pow_(1 / 3).sub_(root).clamp_min_(0)
+            return power(difference.square().add_(self.eps), 1 / 3).sub_(root).clamp_min_(0)
         # Near 0 in units of the cusp, where the second derivative of the power would overflow in float32.
         near = difference.abs() < 1e6 * self.eps**0.5
         square = torch.where(near, difference * self.eps**-0.5, difference).square()
-        power = torch.where(near, square + 1, square + self.eps).pow(1 / 3)
+        found = torch.where(near, square + 1, square + self.eps).pow(1 / 3)
         # In float32 the difference of two equal roots may round to just below 0.
-        return (torch.where(near, power * root, power) - root).clamp_min(0)
+        return (torch.where(near, found * root, found) - root).clamp_min(0)
 
     def penalty_with_derivatives(
-        self, difference: Tensor, width: Tensor | None = None
+        self, difference: Tensor, width: Tensor | None = None, out: Out = NEW
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Of (d^2 + width^2)^(1/3), with the parabola that touches it on both sides and is nowhere below it."""
-        tiny = torch.finfo(difference.dtype).tiny
-        square = difference.square() + (max(self.eps, tiny) if width is None else width.square())
-        root = square.pow(1 / 3)
-        curvature = root / square * (2 / 3)
-        return root, curvature * difference, curvature
+        if width is None:
+            rounding = difference.new_tensor(max(self.eps, torch.finfo(difference.dtype).tiny))
+        else:
+            rounding = width.square()
+        square = torch.addcmul(rounding, difference, difference, out=out[2])
+        root = power(square, 1 / 3, out[0])
+        curvature = torch.addcdiv(difference.new_zeros(()), root, square, value=2 / 3, out=out[2])
+        return root, torch.mul(curvature, difference, out=out[1]), curvature

@@ -1,5 +1,6 @@
 """Derivatives of losses that give none themselves, by autograd; and whether a loss works on one value at a time."""
 
+from collections.abc import Callable
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -12,11 +13,11 @@ if TYPE_CHECKING:
     from torchbrdf.losses.base import Loss
 
 
-def encode_with_derivative(loss: "Loss", values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-    """`loss.encode` of values `(..., N, C)`, and its derivative by each of them."""
+def derivative_of(function: Callable[[Tensor], Tensor], values: Tensor) -> tuple[Tensor, Tensor]:
+    """A function of one value at a time, and its derivative by each of them."""
     with torch.enable_grad():
         point = values.detach().requires_grad_()
-        encoded = loss.encode(point, pairs)
+        encoded = function(point)
         (slope,) = torch.autograd.grad(encoded.sum(), point)
     return encoded.detach(), slope
 

@@ -12,6 +12,7 @@ from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.losses.base import LOSSES, Loss
 from torchbrdf.losses.bins import THETA_D_BINS, THETA_H_BINS, Bins, sort_into_bins
+from torchbrdf.losses.elementary import NEW, Out, log, where_positive
 from torchbrdf.losses.kept import Kept
 from torchbrdf.losses.metric_file import CONSTANTS, EPSILON, read_metric
 from torchbrdf.losses.problem import MeasuredValues, Problem
@@ -164,24 +165,29 @@ class LearnedLoss(Loss):
         self.register_buffer("constants", torch.tensor(own, dtype=torch.float64, device="cpu"))
         self._kept_comparison: Kept[Comparison] = Kept()
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """log(x + EPSILON), what is compared of single values."""
-        return self.exposed(values, pairs).add(EPSILON).log()
+    def exposure(self, pairs: Pairs | None) -> Tensor:
+        """scale cos_i cos_o."""
+        found = cosines(pairs)[..., 0]
+        return found if self.scale == 1 else found * self.scale
 
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """scale cos_i cos_o / (x + EPSILON), 0 for values of 0 or less."""
-        x = self.exposed(values, pairs) + EPSILON
-        return x.log(), torch.where(values > 0, self.scale * cosines(pairs) / x, 0)
+    def compress(self, x: Tensor) -> Tensor:
+        """log(x + EPSILON), what is compared of single values."""
+        return log(x.clamp_min(0).add(EPSILON))
+
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
+        """1 / (x + EPSILON), 0 for values of 0 or less."""
+        base = torch.clamp_min(x, 0, out=out[1]).add_(EPSILON)
+        return log(base, out[0]), where_positive(base.reciprocal_(), x)
 
     def penalty(self, difference: Tensor) -> Tensor:
         """|d|."""
         return difference.abs()
 
     def penalty_with_derivatives(
-        self, difference: Tensor, width: Tensor | None = None
+        self, difference: Tensor, width: Tensor | None = None, out: Out = NEW
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Of sqrt(d^2 + width^2), with the parabola that touches it on both sides and is nowhere below it."""
-        return rounded_absolute(difference, width)
+        return rounded_absolute(difference, width, out)
 
     def exposed(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """x = scale max(M, 0) cos_i cos_o."""
@@ -281,15 +287,18 @@ def uniform_density(pairs: Pairs) -> Tensor:
     return (found / found.mean(-1, keepdim=True))[..., None]
 
 
-def rounded_absolute(difference: Tensor, width: Tensor | float | None) -> tuple[Tensor, Tensor, Tensor]:
+def rounded_absolute(difference: Tensor, width: Tensor | float | None, out: Out = NEW) -> tuple[Tensor, Tensor, Tensor]:
     """sqrt(d^2 + width^2), its derivative, and the curvature of the parabola that touches it at d and -d."""
     if width is None:
         tiny = torch.finfo(difference.dtype).tiny ** 0.5
-        size = difference.abs()
-        return size, difference.sign(), 1 / size.clamp_min(tiny)
-    root = (difference.square() + width**2).sqrt()
-    curvature = 1 / root
-    return root, difference * curvature, curvature
+        size = torch.abs(difference, out=out[0])
+        curvature = torch.reciprocal(torch.clamp_min(size, tiny, out=out[2]), out=out[2])
+        return size, torch.sign(difference, out=out[1]), curvature
+    rounding = width.square() if isinstance(width, Tensor) else difference.new_tensor(width**2)
+    square = torch.addcmul(rounding, difference, difference, out=out[0])
+    root = torch.sqrt(square, out=out[0])
+    curvature = torch.reciprocal(root, out=out[2])
+    return root, torch.mul(difference, curvature, out=out[1]), curvature
 
 
 def bin_shares(present: Tensor) -> tuple[Tensor, Tensor, Tensor]:

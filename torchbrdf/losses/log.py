@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.losses.base import LOSSES, Loss, cosine
+from torchbrdf.losses.elementary import NEW, Out, log1p, where_positive
 from torchbrdf.pairs import Pairs
 
 
@@ -27,12 +28,16 @@ class LogLoss(Loss):
 
     needs = ("cos_i",)
 
-    def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
-        """log(1 + M cos_i)."""
-        return torch.log1p((values * cosine(pairs)).clamp_min(0))
+    def exposure(self, pairs: Pairs | None) -> Tensor:
+        """cos_i."""
+        return cosine(pairs)[..., 0]
 
-    def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
-        """cos_i / (1 + M cos_i), 0 for negative values."""
-        cos_i = cosine(pairs)
-        x = (values * cos_i).clamp_min(0)
-        return torch.log1p(x), torch.where(x > 0, cos_i / (1 + x), 0)
+    def compress(self, x: Tensor) -> Tensor:
+        """log(1 + x)."""
+        return log1p(x.clamp_min(0))
+
+    def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
+        """1 / (1 + x), 0 for negative values."""
+        positive = torch.clamp_min(x, 0, out=out[1])
+        code = log1p(positive, out[0])
+        return code, where_positive(positive.add_(1).reciprocal_(), x)

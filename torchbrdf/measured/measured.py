@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -64,6 +65,14 @@ class Samples(BrdfFormat):
         raise DataError(
             "these samples have no values between their pairs; load a table, or fit a model and render that"
         )
+
+
+# The samples of shared pairs that were asked for last, with device and dtype.
+_LAST: WeakKeyDictionary[Pairs, tuple[tuple[torch.device, torch.dtype], Tensor | None, Pairs]] = WeakKeyDictionary()
+
+
+def _same(one: Tensor | None, other: Tensor | None) -> bool:
+    return one is other or (one is not None and other is not None and torch.equal(one, other))
 
 
 class Measured:
@@ -209,7 +218,14 @@ class Measured:
     @cached_property
     def pairs(self) -> Pairs:
         """Directions of the samples, `(1, N)` shared by all materials or `(M, N)`."""
-        return self.source.pairs.select(self.materials, self.samples).to(self.device, self.dtype)
+        source = self.source.pairs
+        if source.shape[0] > 1:
+            return source.select(self.materials, self.samples).to(self.device, self.dtype)
+        # Batches of a database have the same again and again, with what lobes and fits made of them.
+        key, former = (self.device, self.dtype), _LAST.get(source)
+        if former is None or former[0] != key or not _same(former[1], self.samples):
+            _LAST[source] = key, self.samples, source.select(samples=self.samples).to(self.device, self.dtype)
+        return _LAST[source][2]
 
     @cached_property
     def _data(self) -> tuple[Tensor, Tensor]:

@@ -146,8 +146,18 @@ class Merl(BrdfFormat):
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values and weights at the bin centres, float64; only these bins are read."""
         bins = _bin_rows()[samples].numpy()
-        rows = torch.from_numpy(np.stack([self._rows(material, bins) for material in materials]))
-        return rows[..., :3], rows[..., 3:]
+        values = np.empty((len(materials), len(bins), 3))
+        weights = np.empty((len(materials), len(bins), 1))
+        for k, material in enumerate(materials):
+            part = self._some(material, bins)
+            valid = _valid(part)
+            with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
+                for channel, scale in enumerate(CHANNEL_SCALES):
+                    np.multiply(part[channel], scale, out=values[k, :, channel])
+            if not valid.all():
+                values[k, ~valid] = 0
+            weights[k, :, 0] = valid
+        return torch.from_numpy(values), torch.from_numpy(weights)
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.

@@ -31,13 +31,7 @@ def solve_bounded_qp(matrix: Array, gradient: Array, lower: Array, upper: Array)
     size, shape = matrix.shape[-1], gradient.shape
     matrix, gradient = matrix.reshape(-1, size, size), gradient.reshape(-1, size)
     lower, upper = (np.broadcast_to(bound, shape).reshape(-1, size) for bound in (lower, upper))
-    point = solved(matrix, -gradient)
-    inside = ((point >= lower) & (point <= upper)).all(-1)
-    if inside.all():
-        return point.reshape(shape)
-    rows = np.flatnonzero(~inside)
-    point[rows] = _pivot(matrix[rows], gradient[rows], lower[rows], upper[rows])
-    return point.reshape(shape)
+    return _pivot(matrix, gradient, lower, upper).reshape(shape)
 
 
 def solved(matrix: Array, right: Array) -> Array:
@@ -49,17 +43,19 @@ def solved(matrix: Array, right: Array) -> Array:
         for k in range(len(right)):
             if np.linalg.matrix_rank(np.nan_to_num(matrix[k])) == matrix.shape[-1]:
                 found[k] = np.linalg.solve(matrix[k], right[k])
-    return np.nan_to_num(found, posinf=0.0, neginf=0.0)
+    return found if np.isfinite(found).all() else np.nan_to_num(found, posinf=0.0, neginf=0.0)
 
 
 def _pivot(matrix: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     size = matrix.shape[-1]
     point = np.zeros_like(gradient)
-    side = np.zeros_like(gradient)  # -1 on the lower bound, 1 on the upper one, 0 free
-    rows = np.arange(len(gradient))
+    # -1 on the lower bound, 1 on the upper one, 0 free: at first what 0 lies on, if the slope pushes against it.
+    side = np.where((lower >= 0) & (gradient > 0), -1.0, np.where((upper <= 0) & (gradient < 0), 1.0, 0.0))
+    rows, every = np.arange(len(gradient)), len(gradient)
     identity = np.eye(size)
     for k in range(3 * size + 3):
-        a, b, low, high, where = matrix[rows], gradient[rows], lower[rows], upper[rows], side[rows]
+        own = (matrix, gradient, lower, upper, side)
+        a, b, low, high, where = own if len(rows) == every else (one[rows] for one in own)
         free = where == 0
         fixed = np.where(where < 0, low, np.where(where > 0, high, 0.0))
         right = np.where(free, -(b + (a @ fixed[..., None])[..., 0]), 0.0)

@@ -6,80 +6,18 @@ Components are taken to be nowhere negative.
 """
 
 from functools import cached_property
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchbrdf.fitting.objective.pointwise import PointwiseObjective, Sums
+from torchbrdf.fitting.objective.factored import Factors, Sums
+from torchbrdf.fitting.objective.pointwise import PointwiseObjective
 from torchbrdf.losses import LearnedLoss, Loss
 from torchbrdf.losses.learned import Comparison, Encoded, cosines, rounded_absolute
 from torchbrdf.losses.metric_file import EPSILON
 
 # Over how much cube roots are rounded, in units of what logarithms are.
 COLOR_WIDTH = 0.1
-
-
-class BinnedSums(Sums):
-    """Beside what every pointwise objective adds up, the sums of the responses in bins."""
-
-    objective: "BinnedObjective"
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.bins: Tensor | float = 0.0
-
-    def add(self, samples: slice, difference: Tensor, rate: Tensor, responses: Tensor, weight: Tensor | None) -> None:
-        """Add some pairs, as `Sums.add` does, and their responses to the bins they are in."""
-        super().add(samples, difference, rate, responses, weight)
-        self.bins = self.bins + self.objective.binned(samples, self.materials, responses).double()
-
-    def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Value, gradient and matrix, as `Sums.totals` gives them of single values, with those of the averages."""
-        objective, constants = self.objective, self.objective.constants
-        share = constants[3] / self._own(objective.encoded.total)
-        value, gradient, matrix = super().totals(jacobian)
-        value, gradient = value * share, gradient * share[:, None]
-        matrix = matrix * share[:, None, None] if self.curvature else matrix
-
-        comparison, target = self._comparison(), objective.target_code
-        responses = (self.bins / comparison.bins.mass[:, :, None]).expand(-1, 3, -1, -1)  # (m, 3, Q, B)
-        components = responses[:, :, responses.shape[2] - self.albedos.shape[2] :]
-        averages = torch.einsum("rck,rckb->rcb", self.albedos.double(), components)
-        slopes = torch.einsum("rcqb,rcqp->rcbp", responses[:, :, : self.used], jacobian)
-        brightness = (comparison.channel_luminance @ averages)[:, 0] + EPSILON
-        bright_slopes = torch.einsum("rxc,rcbp->rpb", comparison.channel_luminance, slopes) / brightness[:, None]
-        gloss = ((brightness.log() - self._own(target.luminance)) * comparison.gloss).sum(-1)
-        gloss_slopes = (bright_slopes * comparison.gloss[:, None]).sum(-1)
-        color = averages + EPSILON
-        root, weight = color.pow(1 / 3), comparison.chroma[:, None]
-        chroma = comparison.channel_chroma @ ((root - self._own(target.color)) * weight).sum(-1, keepdim=True)
-        root_slopes = (root * weight / (3 * color))[..., None] * slopes
-        chroma_slopes = comparison.channel_chroma @ root_slopes.sum(2)
-
-        bins = color.log() - self._own(target.logs)
-        bins = bins * comparison.channel
-        bin_slopes = ((slopes / color[..., None]) * comparison.channel[..., None]).movedim(-1, 1)
-
-        width = None if self.width is None else self.width[:, 0].double()  # (m, 1)
-        for found, slope, weight, over in (
-            (gloss[:, None, None], gloss_slopes[..., None, None], constants[0], width),
-            (chroma, chroma_slopes.mT[..., None], constants[1], None if width is None else COLOR_WIDTH * width),
-            (bins, bin_slopes, constants[2] * comparison.even, width),
-        ):
-            parts = _size(found, slope, weight, over, self.curvature)
-            value, gradient = value + parts[0], gradient + parts[1]
-            matrix = matrix + parts[2] if self.curvature else matrix
-        return value, gradient, matrix
-
-    def _comparison(self) -> Comparison:
-        bins, *others = self.objective.comparison
-        own = [self._own(x) for x in others]
-        return Comparison(bins._replace(mass=self._own(bins.mass)), *own)
-
-    def _own(self, values: Tensor) -> Tensor:
-        """What belongs to these materials."""
-        return values if self.materials is None or len(values) == 1 else values[self.materials]
 
 
 def _size(
@@ -101,7 +39,6 @@ def _size(
 class BinnedObjective(PointwiseObjective):
     """The learned distance; bins divide for themselves, so that the norm is 1."""
 
-    sums = BinnedSums
     loss: LearnedLoss
 
     @staticmethod
@@ -155,13 +92,83 @@ class BinnedObjective(PointwiseObjective):
         weight = self.problem.weight
         return (exposure if weight is None else exposure * weight).mT
 
-    def binned(self, samples: slice, materials: Tensor | None, responses: Tensor) -> Tensor:
+    def _binned(self, samples: slice, rows: Tensor | None, responses: Tensor) -> Tensor:
         """Sums of responses `(m, Q, n)`, as x, in the bins, `(m, 1|3, Q, B)`."""
-        exposure, shares = self._exposure[..., samples], self.comparison.bins.shares[:, samples]
-        if materials is not None:
-            exposure = exposure[materials] if len(exposure) > 1 else exposure
-            shares = shares[materials] if len(shares) > 1 else shares
-        columns = exposure[..., None] * shares[:, None]
+        columns = self._columns(samples)
+        columns = columns if rows is None or len(columns) == 1 else columns[rows]
         if len(columns) == 1 and columns.shape[1] == 1:
-            return (responses.flatten(0, 1) @ columns[0, 0]).unflatten(0, responses.shape[:2])[:, None]
-        return responses[:, None] @ columns
+            return (responses.flatten(0, 1) @ columns[0, 0]).unflatten(0, responses.shape[:2])[:, None].double()
+        return (responses[:, None] @ columns).double()
+
+    def _columns(self, samples: slice | Tensor) -> Tensor:
+        """What sums in bins are, as a matrix of some pairs, `(M|1, 1|3, n, B)`."""
+        return self._exposure[..., samples, None] * self.comparison.bins.shares[:, None, samples]
+
+    def _with_bins(self, sums: Sums, responses: Tensor, factors: Factors, rows: Tensor | None) -> Sums:
+        """With the sums of the responses in the bins, from those of the factors."""
+        if factors not in self._factor_bins:
+            pairs, groups = self.problem.pairs, factors.layout.groups
+            own = [
+                factors.on(pairs.select(samples=part)) @ self._columns(part).to(torch.float64) for part in groups
+            ]  # (M|1, 1|3, J, B) of each group
+            self._factor_bins[factors] = torch.stack(own, 2).flatten(2, 3)
+        columns = self._factor_bins[factors]
+        columns = columns if rows is None or len(columns) == 1 else columns[rows]
+        return sums._replace(binned=responses[:, None] @ columns)
+
+    @cached_property
+    def _factor_bins(self) -> dict[Factors, Tensor]:
+        """Sums of factors in bins, made once."""
+        return {}
+
+    def _total(
+        self, sums: Sums, jacobian: Tensor, albedos: Tensor, rows: Tensor | None, width: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Value, gradient and matrix of single values, with those of the averages."""
+        curvature = sums.grams is not None
+        share = self.constants[3] / _own(self.encoded.total, rows)
+        value, gradient, matrix = sums.chained(jacobian)
+        value, gradient = value * share, gradient * share[:, None]
+        matrix = matrix * share[:, None, None] if curvature else matrix
+
+        comparison, target = self._comparison(rows), self.target_code
+        binned = sums.binned
+        assert binned is not None
+        responses = (binned / comparison.bins.mass[:, :, None]).expand(-1, 3, -1, -1)  # (m, 3, Q, B)
+        components = responses[:, :, responses.shape[2] - albedos.shape[2] :]
+        averages = torch.einsum("rck,rckb->rcb", albedos.double(), components)
+        slopes = torch.einsum("rcqb,rcqp->rcbp", responses[:, :, : jacobian.shape[2]], jacobian)
+        brightness = (comparison.channel_luminance @ averages)[:, 0] + EPSILON
+        bright_slopes = torch.einsum("rxc,rcbp->rpb", comparison.channel_luminance, slopes) / brightness[:, None]
+        gloss = ((brightness.log() - _own(target.luminance, rows)) * comparison.gloss).sum(-1)
+        gloss_slopes = (bright_slopes * comparison.gloss[:, None]).sum(-1)
+        color = averages + EPSILON
+        root, weight = color.pow(1 / 3), comparison.chroma[:, None]
+        chroma = comparison.channel_chroma @ ((root - _own(target.color, rows)) * weight).sum(-1, keepdim=True)
+        root_slopes = (root * weight / (3 * color))[..., None] * slopes
+        chroma_slopes = comparison.channel_chroma @ root_slopes.sum(2)
+
+        bins = color.log() - _own(target.logs, rows)
+        bins = bins * comparison.channel
+        bin_slopes = ((slopes / color[..., None]) * comparison.channel[..., None]).movedim(-1, 1)
+
+        over = None if width is None else width[:, 0].double()  # (m, 1)
+        for found, slope, counted, rounded in (
+            (gloss[:, None, None], gloss_slopes[..., None, None], self.constants[0], over),
+            (chroma, chroma_slopes.mT[..., None], self.constants[1], None if over is None else COLOR_WIDTH * over),
+            (bins, bin_slopes, self.constants[2] * comparison.even, over),
+        ):
+            parts = _size(found, slope, counted, rounded, curvature)
+            value, gradient = value + parts[0], gradient + parts[1]
+            matrix = matrix + parts[2] if curvature else matrix
+        return value, gradient, matrix
+
+    def _comparison(self, rows: Tensor | None) -> Comparison:
+        bins, *others = self.comparison
+        own = [_own(x, rows) for x in others]
+        return Comparison(bins._replace(mass=_own(bins.mass, rows)), *own)
+
+
+def _own(values: Tensor, rows: Tensor | None) -> Tensor:
+    """What belongs to these materials."""
+    return values if rows is None or len(values) == 1 else values[rows]

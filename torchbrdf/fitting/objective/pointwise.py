@@ -1,7 +1,8 @@
 """The objective of a mean over pairs of penalties, penalty(encode(f) - encode(target)).
 
 All derivatives follow from the responses of the basis: no graph, a handful of passes over pairs that lie in the
-processor's cache, and sums over pairs as matrix products.
+processor's cache, and sums over pairs as matrix products. Where many pairs share a half angle and no lobe knows its
+shape at any other, the responses are not even evaluated on the pairs, see `factored`.
 """
 
 from functools import cached_property
@@ -12,6 +13,8 @@ from torch import Tensor
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
+from torchbrdf.fitting.objective.factored import LEAST_PAIRS, FactoredProblem, Factors, Sums
+from torchbrdf.fitting.pair_factors import groups_of
 from torchbrdf.fitting.sampling import Chunks, chunked
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.losses import Loss, Problem
@@ -52,57 +55,8 @@ class EncodedProblem:
         return target, weight
 
 
-class Sums:
-    """What a pass over the pairs adds up for m problems: value, and derivatives by the responses in use.
-
-    materials: of which each problem is, None: all; used: how many responses are in use; albedos: the colours of the
-    components, `(m, 3, K)`; width: over which a cusp is rounded, `(m, 1, 1)`; curvature: whether a matrix is wanted.
-    """
-
-    def __init__(
-        self,
-        objective: "PointwiseObjective",
-        materials: Tensor | None,
-        used: int,
-        albedos: Tensor,
-        width: Tensor | None,
-        curvature: bool,
-    ) -> None:
-        self.objective, self.materials, self.used = objective, materials, used
-        self.albedos, self.width, self.curvature = albedos, width, curvature
-        self.value = torch.zeros(len(albedos), dtype=torch.float64, device=albedos.device)
-        self.slopes = self.value.new_zeros(len(albedos), 3, used)
-        self.grams: Tensor | None = None
-
-    def add(self, samples: slice, difference: Tensor, rate: Tensor, responses: Tensor, weight: Tensor | None) -> None:
-        """Some pairs: encoded differences and the rates of encoding `(m, 3, n)`, all responses `(m, Q, n)`."""
-        basis = responses[:, : self.used]
-        penalty, slope, curve = self.objective.loss.penalty_with_derivatives(difference, self.width)
-        if weight is not None:
-            penalty, slope, curve = penalty * weight, slope * weight, curve * weight
-        self.value += penalty.sum((1, 2)).double()
-        self.slopes += torch.bmm(slope * rate, basis.mT).double()
-        if self.curvature:
-            curve = (curve * rate.square()).expand(len(basis), -1, basis.shape[2])
-            curved = (curve[:, :, None] * basis[:, None]).flatten(1, 2)
-            gram = torch.bmm(curved, basis.mT).double()
-            self.grams = gram if self.grams is None else self.grams + gram
-
-    def totals(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, q, P)`."""
-        gradient = torch.einsum("rcq,rcqp->rp", self.slopes, jacobian)
-        if not self.curvature:
-            return self.value, gradient, gradient.new_empty(0)
-        if self.grams is None:  # no pair at all
-            return self.value, gradient, gradient.new_zeros(*gradient.shape, gradient.shape[1])
-        grams = self.grams.unflatten(1, (-1, self.grams.shape[2])).expand(-1, 3, -1, -1)
-        return self.value, gradient, torch.einsum("rcqp,rcqs->rps", jacobian, grams @ jacobian)
-
-
 class PointwiseObjective(GaussNewtonObjective):
     """The mean of penalties over pairs and channels."""
-
-    sums: type[Sums] = Sums
 
     @staticmethod
     def applies(loss: Loss) -> bool:
@@ -164,19 +118,72 @@ class PointwiseObjective(GaussNewtonObjective):
         curvature: bool = False,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix, in one pass over the pairs."""
-        dtype, problems = self.problem.target.dtype, len(materials)
+        dtype = self.problem.target.dtype
         rows = None if self.is_every_material(materials) else materials
         albedos = basis.albedos(values, dtype)
         width = None if width is None else width[:, None, None].to(dtype)
-        sums = self.sums(self, rows, basis.used, albedos, width, curvature)
+        factored = self.factored if all(part.kind.has_pair_factors() for part in basis.parts) else None
+        if factored is None:
+            sums = self._sums(basis, values, albedos, rows, width, curvature)
+        else:
+            sums, responses = factored.sums(basis, values, albedos, rows, width, curvature)
+            sums = self._with_bins(sums, responses, factored.factors(basis), rows)
+        found = self._total(sums, basis.jacobian(values, albedos.double()), albedos, rows, width)
+        norm = self.norm.expand(len(self))[materials] * scale
+        matrix = found[2] / norm[:, None, None] if curvature else found[2]
+        return found[0] / norm, found[1] / norm[:, None], matrix
+
+    @cached_property
+    def factored(self) -> FactoredProblem | None:
+        """The problem by half angles; None where few pairs share one, or materials have pairs of their own."""
+        groups = groups_of(self.problem.pairs, LEAST_PAIRS)
+        if groups is None:
+            return None
+        return FactoredProblem(self.problem, self.loss, self.encoded.weight, self.encoded.target, groups)
+
+    def _sums(
+        self,
+        basis: Basis,
+        values: ParameterDict,
+        albedos: Tensor,
+        rows: Tensor | None,
+        width: Tensor | None,
+        curvature: bool,
+    ) -> Sums:
+        """What a pass adds up, from responses on all pairs."""
+        dtype, problems = self.problem.target.dtype, len(albedos)
+        found: list[Sums] = []
         for part, pairs in self.chunks(problems):
             if pairs.shape[0] > 1 and rows is not None:
                 pairs = pairs.select(rows)
             responses = basis.stacked(pairs, values, dtype, problems)
             target, weight = self.encoded.part(part, rows)
             code, rate = channels.encode_with_derivative(self.loss, basis.predict(albedos, responses), pairs)
-            sums.add(part, code - target, rate, responses, weight)
-        value, gradient, matrix = sums.totals(basis.jacobian(values, albedos.double()))
-        norm = self.norm.expand(len(self))[materials] * scale
-        matrix = matrix / norm[:, None, None] if curvature else matrix
-        return value / norm, gradient / norm[:, None], matrix
+            penalty, slope, curve = self.loss.penalty_with_derivatives(code - target, width)
+            if weight is not None:
+                penalty, slope, curve = penalty * weight, slope * weight, curve * weight
+            used, grams = responses[:, : basis.used], None
+            if curvature:
+                curve = (curve * rate.square()).expand(problems, -1, used.shape[2])
+                curved = (curve[:, :, None] * used[:, None]).flatten(1, 2)
+                grams = torch.bmm(curved, used.mT).double().unflatten(1, (-1, basis.used))
+            slopes = torch.bmm(slope * rate, used.mT).double()
+            found.append(Sums(penalty.sum((1, 2)).double(), slopes, grams, self._binned(part, rows, responses)))
+        if not found:  # no pair at all
+            nothing = albedos.new_zeros(problems, 3, basis.used, basis.used, dtype=torch.float64)
+            return Sums(nothing[:, 0, 0, 0], nothing[..., 0], nothing if curvature else None)
+        return Sums(*(None if own[0] is None else sum(own[1:], own[0]) for own in zip(*found, strict=True)))
+
+    def _binned(self, samples: slice, rows: Tensor | None, responses: Tensor) -> Tensor | None:
+        """What else is wanted of the responses `(m, Q, n)` on some pairs."""
+        return None
+
+    def _with_bins(self, sums: Sums, responses: Tensor, factors: Factors, rows: Tensor | None) -> Sums:
+        """The same, where responses are sums of factors, `(m, Q, G J)`."""
+        return sums
+
+    def _total(
+        self, sums: Sums, jacobian: Tensor, albedos: Tensor, rows: Tensor | None, width: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Value, gradient and matrix (empty, if there is no curvature), but for the norm."""
+        return sums.chained(jacobian)

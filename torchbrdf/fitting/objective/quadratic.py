@@ -1,7 +1,7 @@
 """The objective of a quadratic loss from sufficient statistics: exact, at the cost of a few hundred pairs.
 
 With S' S = sum w B B' and S' z = sum w t B, the sum of w (f - t)^2 over a group of pairs is |S H - z|^2 and what no
-parameter changes: least squares in G J numbers a channel, which `Statistics.observe` gives of the terms at the probes.
+parameter changes: least squares in G J numbers a channel. The H follow from the terms at probes, see `pair_factors`.
 """
 
 from functools import cached_property
@@ -12,14 +12,13 @@ from torch import Tensor
 
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
+from torchbrdf.fitting.objective.factored import Sums
+from torchbrdf.fitting.pair_factors import RANK, coefficients, inverse_of
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sufficient_statistics import SufficientStatistics
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters
 from torchbrdf.losses import Loss, Problem
-
-# Combinations of a group's factors that vary less than this, relative, are left out: they are not to be seen.
-_RANK = 1e-12
 
 
 class QuadraticObjective(GaussNewtonObjective):
@@ -31,17 +30,16 @@ class QuadraticObjective(GaussNewtonObjective):
 
     @cached_property
     def _reduced(self) -> tuple[Tensor, Tensor]:
-        """What makes S H of the terms at a group's probes, `(M, G, J, P)`, and z, `(M, 3, G J)`."""
+        """What makes S H of H, `(M, G, J, J)`, and z, `(M, 3, G J)`."""
         own = self.statistics
         # In units in which all factors are of a size, as some are 1e6 times others towards the horizon.
         size = own.at_probes.abs().amax(2, keepdim=True).clamp_min(torch.finfo(own.gram.dtype).tiny)
-        inverse = torch.linalg.pinv(own.at_probes / size, rtol=_RANK)
         square, axes = torch.linalg.eigh(own.gram / size / size.mT)
-        kept = square > _RANK * square[..., -1:]
+        kept = square > RANK * square[..., -1:]
         root = torch.where(kept, square, 0).sqrt()
         rotated = axes.mT @ (own.right / size)
         target = torch.where(kept, 1 / torch.where(kept, root, 1), 0)[..., None] * rotated
-        return (root[..., None] * axes.mT) @ inverse.mT, target.permute(0, 3, 1, 2).flatten(2)
+        return root[..., None] * axes.mT * size.mT, target.permute(0, 3, 1, 2).flatten(2)
 
     @cached_property
     def rest(self) -> Tensor:
@@ -66,7 +64,9 @@ class QuadraticObjective(GaussNewtonObjective):
 
     def observe(self, responses: Tensor) -> Tensor:
         """S H of functions at the probes, `(M, 1, K, G J)`."""
-        return self._observed(responses[None], self._reduced[0])[:, None]
+        own, root = self.statistics, self._reduced[0]
+        at_probes = responses.unflatten(1, (len(own.at_probes), -1)).transpose(0, 1)
+        return (at_probes @ inverse_of(own.at_probes) @ root.mT).transpose(1, 2).flatten(2)[:, None]
 
     def curvature_at(self, prediction: Tensor) -> Tensor:
         """2."""
@@ -100,22 +100,20 @@ class QuadraticObjective(GaussNewtonObjective):
         curvature: bool = False,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """From the terms at the probes."""
-        own, (observe, target) = self.statistics, self._reduced
+        rows = None if self.is_every_material(materials) else materials
+        own, (root, target) = self.statistics, self._reduced
         albedos = basis.albedos(values, target.dtype)
-        responses = basis.stacked(own.probes, values, target.dtype, len(materials))
-        seen = self._observed(responses, observe[materials])
-        used, residual = seen[:, : basis.used], basis.predict(albedos, seen) - target[materials]
-        norm = own.total[materials] * scale
-        value = (residual.square().sum((1, 2)) + self.rest[materials]) / norm
-        jacobian = basis.jacobian(values, albedos)
-        gradient = torch.einsum("rcq,rcqp->rp", residual @ used.mT, jacobian) * (2 / norm[:, None])
-        if not curvature:
-            return value, gradient, gradient.new_empty(0)
-        gram = (used @ used.mT) * (2 / norm[:, None, None])
-        return value, gradient, torch.einsum("rcqp,rcqs->rps", jacobian, gram[:, None] @ jacobian)
+        responses = coefficients(basis, own.own, values, len(materials))
+        seen = (responses.transpose(1, 2) @ _of(root, rows).mT).transpose(1, 2).flatten(2)
+        used, residual = seen[:, : basis.used], basis.predict(albedos, seen) - _of(target, rows)
+        value = residual.square().sum((1, 2)) + _of(self.rest, rows)
+        gram = (2 * used @ used.mT)[:, None] if curvature else None
+        found = Sums(value, 2 * residual @ used.mT, gram).chained(basis.jacobian(values, albedos))
+        norm = _of(own.total, rows) * scale
+        matrix = found[2] / norm[:, None, None] if curvature else found[2]
+        return found[0] / norm, found[1] / norm[:, None], matrix
 
-    def _observed(self, responses: Tensor, observe: Tensor) -> Tensor:
-        """S H of functions at the probes, `(m, K, G P)` to `(m, K, G J)`."""
-        _, groups, _, count = observe.shape
-        at_probes = responses.unflatten(2, (groups, count)).transpose(1, 2)
-        return (at_probes @ observe.mT).transpose(1, 2).flatten(2)
+
+def _of(values: Tensor, rows: Tensor | None) -> Tensor:
+    """What belongs to these materials."""
+    return values if rows is None else values[rows]

@@ -1,0 +1,50 @@
+"""Pairs in blocks of one half angle each, so that sums over them are products of whole batches."""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from torchbrdf.fitting.pair_factors import Groups
+from torchbrdf.pairs import Pairs
+
+# Pairs of a block: of few pairs not too many to fill up with, of many not too many blocks.
+SMALLEST_BLOCK, LARGEST_BLOCK = 16, 512
+# Numbers that are worked on at a time, in five arrays: so many that calls do not count, and few enough for a cache.
+WORK = {"cpu": 1 << 17, "cuda": 1 << 26}
+
+
+class Layout:
+    """Pairs in blocks of one half angle each, the last of a group filled up.
+
+    size: of a block; group: of each of B blocks; sample: which of the pairs are in it, `(B, size)`; real: 1, or 0 of
+    what fills up.
+    """
+
+    def __init__(self, pairs: Pairs, groups: Groups) -> None:
+        self.groups, self.device = groups, pairs.device
+        average = len(pairs) // (8 * len(groups))
+        self.size = min(max(1 << average.bit_length(), SMALLEST_BLOCK), LARGEST_BLOCK)
+        bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=pairs.device)
+        count = bounds.diff()
+        blocks = (count + self.size - 1) // self.size
+        every = torch.arange(len(groups), dtype=torch.int64, device=pairs.device)
+        self.group = every.repeat_interleave(blocks)
+        rank = torch.arange(len(self.group), dtype=torch.int64, device=pairs.device)
+        rank = (rank - (blocks.cumsum(0) - blocks)[self.group]) * self.size
+        place = rank[:, None] + torch.arange(self.size, dtype=torch.int64, device=pairs.device)
+        most = count[self.group, None]
+        self.sample = groups.places(bounds[self.group, None] + torch.minimum(place, most - 1))
+        self.real = (place < most).to(pairs.dtype)
+
+    def spread(self, values: Tensor) -> Tensor:
+        """Values of pairs `(..., N)`, `(B, ..., size)`, contiguous."""
+        found = values.index_select(-1, self.sample.flatten()).unflatten(-1, self.sample.shape)
+        return found.movedim(-2, 0).contiguous()
+
+    def parts(self, rows: int) -> Iterator[slice]:
+        """Blocks in parts, so small that arrays of three numbers for each of so many fits stay in the cache."""
+        numbers = WORK.get(self.device.type, WORK["cpu"])
+        step = max(1, numbers // (3 * rows * self.size))
+        for start in range(0, len(self.group), step):
+            yield slice(start, min(start + step, len(self.group)))
