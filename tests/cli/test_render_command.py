@@ -141,7 +141,7 @@ def test_options_have_bounds(option, value, capsys):
 
 
 def test_more_pictures_than_memory_holds_are_refused(monkeypatch, paint, tmp_path, capsys):
-    monkeypatch.setattr("torchbrdf.report.sheet.MOST_PIXELS", 32 * 32 - 1)
+    monkeypatch.setattr("torchbrdf.report.limits.MOST_PIXELS", 32 * 32 - 1)
     assert main(["render", str(paint), *SMALL, "--out", str(tmp_path / "out")]) == 2
     assert "expected at most 1023 pixels in all, found 1 pictures of 32 x 32" in capsys.readouterr().err
 
