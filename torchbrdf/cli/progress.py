@@ -77,6 +77,13 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 
 
+def _is_terminal() -> bool:
+    """Whether somebody may see a bar; stderr may be closed, or none."""
+    with suppress(ValueError, AttributeError):
+        return sys.stderr.isatty()
+    return False
+
+
 # Of the command that is at work, where lines are said.
 _stages: list[Stages] = []
 
@@ -84,14 +91,14 @@ _stages: list[Stages] = []
 @contextmanager
 def reporting() -> Iterator[None]:
     """Say every ten seconds how far the work within is, where stderr is no terminal, by what `progress_bar` is told."""
-    if sys.stderr.isatty():
+    if _is_terminal():
         yield
         return
     stages, over = Stages(), threading.Event()
 
     def report() -> None:
         while not over.wait(SECONDS):
-            with suppress(OSError, ValueError):  # nobody reads it, or it is closed
+            with suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
                 sys.stderr.write(f"torchbrdf: {stages.line()}\n")
                 sys.stderr.flush()
 
@@ -108,7 +115,7 @@ def reporting() -> Iterator[None]:
 
 def progress_bar(label: str) -> Progress:
     """A progress bar on a terminal, elsewhere lines; nothing where there is nothing to do."""
-    if not sys.stderr.isatty():
+    if not _is_terminal():
         return partial(_stages[-1].tell, label) if _stages else quiet
     from tqdm import tqdm
 
