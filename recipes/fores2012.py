@@ -63,11 +63,16 @@ class Fores2012(FitGridRecipe):
 
         groups, bad = load_materials(self.materials, folder, self.quick)
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
-        size = min(self.size, 96) if self.quick else self.size
+        size, models = self.size, self.models
+        if self.quick:
+            size = min(size, 64)
+            models = models[:1] if models == type(self).models else models  # what somebody asked for is not left out
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
-        grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)
+        grid = self.make_grid(
+            folder, groups, losses, models=models, lobes=lobes, compare_strategy=self.compare_strategy
+        )
         grid.fit()
         pictures = Pictures(grid, {ONLY: scene}, SHOWN_DIFFERENCES)
         pictures.draw()

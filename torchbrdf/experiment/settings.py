@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 # Here and in recipes, what works is imported where it is used: wrong settings are refused before torch is imported.
 STANDINS = "stand-ins"
-# Pairs that the solver sees at most in a quick run.
-QUICK_SAMPLES = 4000
+# Pairs that the solver sees at most in a quick run, and of how many of a table's pairs there is one.
+QUICK_SAMPLES, QUICK_EVERY = 1000, 29
 # Bounds of settings, which the options of `torchbrdf fit` have, too.
 LOBE_COUNTS = {"low": 1, "high": 8}
 ANGLES = {"low": 1.0, "high": 90.0}
@@ -109,7 +109,7 @@ def load_materials(materials: str, folder: RunFolder, quick: bool) -> "tuple[lis
     Args:
         materials: A path, or `stand-ins`.
         folder: Of the run; its log says what was left out.
-        quick: Take two of each format.
+        quick: Take two of each format, and few of their pairs.
 
     Returns:
         The materials by format, and what was left out.
@@ -132,8 +132,17 @@ def load_materials(materials: str, folder: RunFolder, quick: bool) -> "tuple[lis
     for error in bad:
         folder.warn(f"left out: {error}")
     if quick:
-        groups = [group.batch(range(min(2, len(group)))) for group in groups]
+        groups = [_few(group) for group in groups]
     return groups, [str(error) for error in bad]
+
+
+def _few(group: "Measured") -> "Measured":
+    """Two materials, with one of QUICK_EVERY pairs where they have many."""
+    import torch
+
+    count = len(group.pairs)
+    every = QUICK_EVERY if count > QUICK_EVERY * QUICK_SAMPLES else 1
+    return group.batch(range(min(2, len(group))), torch.arange(0, count, every, dtype=torch.int64, device="cpu"))
 
 
 @dataclass(frozen=True)
