@@ -6,13 +6,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from torchbrdf.errors import UsageError
-from torchbrdf.experiment import ONLY, SHOWN_DIFFERENCES, FitGridRecipe, Pictures, load_materials, simulate_responses
-from torchbrdf.experiment.settings import LOBE_COUNTS, PICTURE_SIDES
-from torchbrdf.fitting import STRATEGIES
-from torchbrdf.losses import LOSSES, make_loss
+from torchbrdf.experiment.settings import LOBE_COUNTS, PICTURE_SIDES, FitGridRecipe, load_materials
+from torchbrdf.kinds import STRATEGIES
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.render import Camera, Environment, Scene, find_mesh
-from torchbrdf.report import write_grid_report
 from torchbrdf.study.simulation import NOISE
 
 GROVE = "grove"
@@ -50,23 +46,33 @@ class Fores2012(FitGridRecipe):
     screening: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if len(self.observers) != 2:
             raise UsageError(f"fores2012: observers: expected two numbers, found {len(self.observers)}")
         if self.compare_strategy is not None:
-            STRATEGIES[self.compare_strategy]
+            STRATEGIES.check(self.compare_strategy)
             if self.compare_strategy == self.strategy:
                 raise UsageError(f"fores2012: compare_strategy: expected another than {self.strategy}, or none")
+        super().__post_init__()
 
     def steps(self, folder: RunFolder) -> Path:
         """Fits, pictures, observers, report."""
+        from torchbrdf.experiment import ONLY, SHOWN_DIFFERENCES, Pictures, simulate_responses
+        from torchbrdf.losses import LOSSES, make_loss
+        from torchbrdf.render import Camera, Environment, Scene, find_mesh
+        from torchbrdf.report import write_grid_report
+
         groups, bad = load_materials(self.materials, folder, self.quick)
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
-        size = min(self.size, 96) if self.quick else self.size
+        size, models = self.size, self.models
+        if self.quick:
+            size = min(size, 64)
+            models = models[:1] if models == type(self).models else models  # what somebody asked for is not left out
         scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
-        grid = self.make_grid(folder, groups, losses, lobes=lobes, compare_strategy=self.compare_strategy)
+        grid = self.make_grid(
+            folder, groups, losses, models=models, lobes=lobes, compare_strategy=self.compare_strategy
+        )
         grid.fit()
         pictures = Pictures(grid, {ONLY: scene}, SHOWN_DIFFERENCES)
         pictures.draw()

@@ -2,35 +2,17 @@
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchbrdf.errors import UsageError
-from torchbrdf.experiment import HumanAnswersRecipe
-from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark, write_scores
-from torchbrdf.experiment.discrimination import calibrate_metrics
-from torchbrdf.experiment.metric_training import PUBLISHED
-from torchbrdf.experiment.settings import ANGLES
-from torchbrdf.losses import LOSSES
-from torchbrdf.measured import MERL_NAMES, load
-from torchbrdf.pairs import Pairs
-from torchbrdf.perception import (
-    FORMULAS,
-    Appearance,
-    BenchmarkData,
-    JodTable,
-    compare_appearance,
-    metric_label,
-    read_jod,
-    read_ratings,
-    score_jod,
-    statistics_of,
-    tabulate,
-    uniform_pairs,
-)
-from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
+from torchbrdf.experiment.settings import ANGLES, HumanAnswersRecipe
+from torchbrdf.kinds import DIFFERENCES, LOSSES, check_metric
 from torchbrdf.reading import exists
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.render import Camera, Environment, Scene, sphere
-from torchbrdf.report import HumanPage, write_human_report
+
+if TYPE_CHECKING:
+    from torchbrdf.pairs import Pairs
+    from torchbrdf.perception import Appearance, BenchmarkData, JodTable
 
 
 @RECIPES.register("human_benchmark")
@@ -67,6 +49,10 @@ class HumanBenchmark(HumanAnswersRecipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in self.losses:
+            check_metric(name)
+        for name in self.differences:
+            DIFFERENCES.check(name)
         if not self.quick:
             for key in ("materials", "human"):
                 if not getattr(self, key):
@@ -74,6 +60,14 @@ class HumanBenchmark(HumanAnswersRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Distances of every loss, statistics, report."""
+        from torchbrdf.experiment.benchmark import LAGUNAS, Benchmark, write_scores
+        from torchbrdf.experiment.discrimination import calibrate_metrics
+        from torchbrdf.experiment.metric_training import PUBLISHED
+        from torchbrdf.perception import statistics_of, tabulate, uniform_pairs
+        from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
+        from torchbrdf.render import Camera, Environment, Scene, sphere
+        from torchbrdf.report import HumanPage, write_human_report
+
         samples, replicates, size = self.samples, self.replicates, self.size
         if self.quick:
             samples, replicates, size = 500, min(replicates, 200), min(size, 24)
@@ -113,9 +107,12 @@ class HumanBenchmark(HumanAnswersRecipe):
         return write_human_report(folder.path, table, data, said, calibrated)
 
     def read_others(
-        self, data: BenchmarkData, pairs: Pairs, replicates: int
-    ) -> tuple[Appearance | None, JodTable | None]:
+        self, data: "BenchmarkData", pairs: "Pairs", replicates: int
+    ) -> "tuple[Appearance | None, JodTable | None]":
         """What other studies asked, where there are their answers: ratings, and JOD scores."""
+        from torchbrdf.measured import MERL_NAMES, load
+        from torchbrdf.perception import compare_appearance, metric_label, read_jod, read_ratings, score_jod
+
         human, appearance, jod = Path(self.human), None, None
         if self._wanted("ratings"):
             ratings = read_ratings(human / self.ratings, MERL_NAMES)
@@ -135,6 +132,8 @@ class HumanBenchmark(HumanAnswersRecipe):
         return appearance, jod
 
     def _metrics(self) -> tuple[str, ...]:
+        from torchbrdf.perception import FORMULAS
+
         return self.losses or (*LOSSES, *FORMULAS)
 
     def _wanted(self, key: str) -> bool:

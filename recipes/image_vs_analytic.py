@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchbrdf.errors import UsageError
-from torchbrdf.experiment import FitGridRecipe, Pictures, load_materials
-from torchbrdf.experiment.settings import PICTURE_SIDES
-from torchbrdf.fitting import ImageDriven
-from torchbrdf.images import DIFFERENCES
-from torchbrdf.losses import LOSSES, CombinedLoss, Loss, make_loss
+from torchbrdf.experiment.settings import PICTURE_SIDES, FitGridRecipe, load_materials
+from torchbrdf.kinds import DIFFERENCES, LOSSES
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh, small_scene
-from torchbrdf.report import write_images_report
+
+if TYPE_CHECKING:
+    from torchbrdf.losses import Loss
 
 TRAINING, UNSEEN = "training", "unseen"
 
@@ -56,12 +55,14 @@ class ImageVsAnalytic(FitGridRecipe):
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.expect_names("rendered", "combined", "chosen_by", "differences")
         for name in self.combined:
-            LOSSES[name]
+            LOSSES.check(name)
+        for name in (*self.rendered, *self.chosen_by, *self.differences):
+            DIFFERENCES.check(name)
         if "delta_e76" not in map(DIFFERENCES.canonical, self.differences):
             raise UsageError(f"{self.name}: differences: expected delta_e76 among them, by which the report sorts")
+        super().__post_init__()
         for key in (*self.rendered, *self.chosen_by, *self.differences):
             least = DIFFERENCES[key].least_side
             sizes = {"train_size": self.train_size} if key in (*self.rendered, *self.chosen_by) else {}
@@ -71,6 +72,12 @@ class ImageVsAnalytic(FitGridRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """References and tone maps, fits, pictures, report."""
+        from torchbrdf.experiment import Pictures
+        from torchbrdf.fitting import ImageDriven
+        from torchbrdf.losses import CombinedLoss, make_loss
+        from torchbrdf.render import Camera, Environment, RenderedLoss, Scene, find_mesh, small_scene
+        from torchbrdf.report import write_images_report
+
         size, train, lights = self.size, self.train_size, self.lights
         models, rendered, chooser = self.models, self.rendered, ImageDriven()
         if self.quick:

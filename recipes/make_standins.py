@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchbrdf.experiment.rounding import rounded
 from torchbrdf.experiment.settings import FIT_SAMPLES
-from torchbrdf.fitting import fit
-from torchbrdf.lobes import FitRecord, make_model, write_fits
-from torchbrdf.losses import CompressedLoss
-from torchbrdf.measured import load, standins
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+
+if TYPE_CHECKING:
+    from torchbrdf.lobes import FitRecord
 
 
 @RECIPES.register("make_standins")
@@ -30,6 +30,11 @@ class MakeStandins(Recipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Fit under the cube-root-compressed loss, so that the lobe's flanks count beside its peak."""
+        from torchbrdf.fitting import fit
+        from torchbrdf.lobes import make_model, write_fits
+        from torchbrdf.losses import CompressedLoss
+        from torchbrdf.measured import load, standins
+
         measured = load(self.materials or standins())
         samples = self.samples
         if self.quick:
@@ -48,8 +53,10 @@ class MakeStandins(Recipe):
         write_fits(path, [self._without_settings(record) for record in result.records()])
         return path
 
-    def _without_settings(self, record: FitRecord) -> FitRecord:
+    def _without_settings(self, record: "FitRecord") -> "FitRecord":
         """What is needed of a fit that stands in for a material, in few digits."""
+        from torchbrdf.lobes import FitRecord
+
         return FitRecord(
             record.material,
             record.model,

@@ -3,16 +3,18 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torchbrdf.errors import TorchbrdfError
-from torchbrdf.experiment import STANDINS, load_materials
 from torchbrdf.experiment.matching.candidates import Budget, Candidate
-from torchbrdf.experiment.matching.search import Match, find_matches
 from torchbrdf.experiment.rounding import rounded
+from torchbrdf.experiment.settings import STANDINS, load_materials
 from torchbrdf.files import write_text
-from torchbrdf.lobes import FitRecord
 from torchbrdf.recipe import RECIPES, Recipe, RunFolder
+
+if TYPE_CHECKING:
+    from torchbrdf.experiment.matching.search import Match
+    from torchbrdf.lobes import FitRecord
 
 MODELS = (Candidate("ggx", 2), Candidate("gltf"), Candidate("openpbr"))
 
@@ -54,6 +56,8 @@ class MakeZoo(Recipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Match every material by every model, and keep of each model the nearest fit."""
+        from torchbrdf.experiment.matching.search import find_matches
+
         models = MODELS[:2] if self.quick else MODELS
         size, views, metric = (16, 1, None) if self.quick else (self.size, self.views, self.metric)
         budget = Budget("zoo", models, metric, size=size, views=views, all_of_them=True)
@@ -78,8 +82,10 @@ class MakeZoo(Recipe):
         write_text(path, "[\n{}\n]\n".format(",\n".join(lines)))
         return path
 
-    def _kept(self, match: Match, origin: Origin) -> list[FitRecord]:
+    def _kept(self, match: "Match", origin: Origin) -> "list[FitRecord]":
         """Of each model the nearest fit, with its figures, and without what only a fit has."""
+        from torchbrdf.lobes import FitRecord
+
         nearest: dict[Candidate, Any] = {}
         for one in match.tried:
             if one.candidate not in nearest or one.means.mean < nearest[one.candidate].means.mean:

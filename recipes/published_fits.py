@@ -2,19 +2,15 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import torch
+from typing import TYPE_CHECKING
 
 from torchbrdf.errors import UsageError, shown
-from torchbrdf.experiment import STANDINS, FitGridRecipe, load_materials
-from torchbrdf.experiment.published import compare_published, models_of
-from torchbrdf.fitting import fit
-from torchbrdf.lobes import Sum, make_model
-from torchbrdf.losses import LOSSES, make_loss
-from torchbrdf.measured import Measured
-from torchbrdf.perception import PublishedFits, read_published
+from torchbrdf.experiment.settings import STANDINS, FitGridRecipe, load_materials
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.report import write_published_report
+
+if TYPE_CHECKING:
+    from torchbrdf.measured import Measured
+    from torchbrdf.perception import PublishedFits
 
 MADE_UP = "made up"
 
@@ -58,6 +54,10 @@ class PublishedFitsRecipe(FitGridRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Our fits, errors of the published ones, report."""
+        from torchbrdf.experiment.published import compare_published, models_of
+        from torchbrdf.losses import LOSSES, make_loss
+        from torchbrdf.report import write_published_report
+
         published = {} if self.quick else self._read()
         groups, bad = load_materials(STANDINS if self.quick else self.materials, folder, self.quick)
         if self.quick:
@@ -71,8 +71,11 @@ class PublishedFitsRecipe(FitGridRecipe):
         sources = {name: one.source for name, one in published.items()}
         return write_published_report(grid, found, sources, bad)
 
-    def _read(self) -> dict[str, PublishedFits]:
+    def _read(self) -> "dict[str, PublishedFits]":
         """The sets that are asked for."""
+        from torchbrdf.experiment.published import models_of
+        from torchbrdf.perception import read_published
+
         found = read_published(self.fits)
         for name in self.sets:
             if name not in found:
@@ -87,14 +90,16 @@ class PublishedFitsRecipe(FitGridRecipe):
         return kept
 
 
-def _thinned(measured: Measured, every: int) -> Measured:
+def _thinned(measured: "Measured", every: int) -> "Measured":
     """One of so many pairs, in a file's order."""
+    import torch
+
     if every == 1:
         return measured
     return measured.batch(samples=torch.arange(0, len(measured.pairs), every, dtype=torch.int64, device="cpu"))
 
 
-def _known(groups: list[Measured], published: dict[str, PublishedFits]) -> list[Measured]:
+def _known(groups: "list[Measured]", published: "dict[str, PublishedFits]") -> "list[Measured]":
     """The materials that some set has."""
     names = {name for one in published.values() for name in one.materials}
     rows = [[k for k, name in enumerate(group.names) if name in names] for group in groups]
@@ -106,7 +111,7 @@ def _known(groups: list[Measured], published: dict[str, PublishedFits]) -> list[
     return [group.batch(own) for group, own in zip(groups, rows, strict=True) if own]
 
 
-def _evenly(groups: list[Measured], count: int) -> list[Measured]:
+def _evenly(groups: "list[Measured]", count: int) -> "list[Measured]":
     """So many of the materials of each group, or all, evenly along their order."""
     return [
         group.batch([k * len(group) // count for k in range(count)]) if count < len(group) else group
@@ -114,8 +119,13 @@ def _evenly(groups: list[Measured], count: int) -> list[Measured]:
     ]
 
 
-def _made_up(measured: Measured) -> PublishedFits:
+def _made_up(measured: "Measured") -> "PublishedFits":
     """Hasty fits in the place of published ones."""
+    from torchbrdf.fitting import fit
+    from torchbrdf.lobes import Sum, make_model
+    from torchbrdf.losses import make_loss
+    from torchbrdf.perception import PublishedFits
+
     found = fit(make_model("ward", 1), measured, make_loss("rms"), strategy="staged", max_theta=60.0, samples=500)
     return PublishedFits(
         MADE_UP, "no publication: hasty fits, to see that all works", list(found.names), Sum(*found.model.components())

@@ -3,17 +3,10 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 from torchbrdf.errors import UsageError
-from torchbrdf.experiment import HumanAnswersRecipe
-from torchbrdf.experiment.metric_training import join_data, published_data, study_data, train_metric
+from torchbrdf.experiment.settings import HumanAnswersRecipe
 from torchbrdf.files import write_json
-from torchbrdf.losses import LOSSES, make_loss
-from torchbrdf.perception import uniform_pairs
-from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
 from torchbrdf.recipe import RECIPES, RunFolder
-from torchbrdf.report import write_metric_report
 
 HELD_OUT = ("materials", "materials_and_method", "materials_and_two_methods")
 
@@ -58,6 +51,14 @@ class TrainMetric(HumanAnswersRecipe):
 
     def steps(self, folder: RunFolder) -> Path:
         """Terms of all distances, trainings on halves, one on everything, and what they are worth."""
+        import torch
+
+        from torchbrdf.experiment.metric_training import join_data, published_data, study_data, train_metric
+        from torchbrdf.losses import LOSSES, make_loss
+        from torchbrdf.perception import uniform_pairs
+        from torchbrdf.perception.datasets.synthetic import synthetic_benchmark
+        from torchbrdf.report import write_metric_report
+
         samples, repeats, replicates = self.samples, self.repeats, self.replicates
         if self.quick:
             samples, repeats, replicates = 500, 2, min(replicates, 20)

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -23,6 +24,7 @@ from torchbrdf.files import (
     is_writing,
     locked,
     replacing,
+    without_empty_folders,
     writable,
     writable_file,
     write_csv,
@@ -286,3 +288,20 @@ def test_the_lock_of_a_killed_process_is_no_trap(tmp_path):
     with locked(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
+
+
+def test_folders_that_were_made_and_are_empty_are_removed(tmp_path: Path) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "behind")
+    with pytest.raises(DataError, match="nothing came of it"), without_empty_folders():
+        writable(tmp_path / "a" / "b" / "c")
+        writable(there)
+        writable(link)
+        write_text(writable(tmp_path / "kept" / "deep") / "note.txt", "something")
+        raise DataError("nothing came of it")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept", "link", "there"]
+    assert (tmp_path / "kept" / "deep" / "note.txt").read_text() == "something"
+    writable(tmp_path / "a")
+    assert (tmp_path / "a").is_dir()  # outside of it folders stay

@@ -71,6 +71,27 @@ def test_every_export_of_images_is_there_and_shown() -> None:
         images.nothing  # noqa: B018
 
 
+LAZY = ("experiment", "experiment.matching", "fitting", "perception", "psychophysics", "report")
+
+
+@pytest.mark.parametrize("room", LAZY)
+def test_every_export_of_a_room_that_imports_at_first_use_is_there_and_shown(room: str) -> None:
+    package = importlib.import_module(f"torchbrdf.{room}")
+    assert set(package._HOME) <= set(package.__all__) <= set(dir(package))
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+    with pytest.raises(AttributeError, match=rf"^module 'torchbrdf.{room}' has no attribute 'nothing'$"):
+        package.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "room", ["kinds", "recipe", "recipes.fores2012", "experiment.settings", "memory", "cli.commands"]
+)
+def test_what_names_and_settings_are_checked_by_costs_no_torch(room: str) -> None:
+    heavy = {"torch", "numpy", "scipy", "matplotlib", "kornia", "PIL", "trimesh", "jinja2", "OpenEXR", "msgspec"}
+    assert not loaded(f"import torchbrdf.{room}") & heavy
+
+
 @pytest.mark.parametrize("module", ["assets", "recipes", "cli"])
 def test_the_installed_parts_are_importable(module: str) -> None:
     importlib.import_module(f"torchbrdf.{module}")

@@ -40,6 +40,59 @@ def test_a_file_in_the_folder_is_found(package: str) -> None:
     assert (len(things), things["beta"], dict(things)) == (2, "BETA", {"alpha": "ALPHA", "beta": "BETA"})
 
 
+def test_a_name_costs_no_import_and_a_thing_only_its_own(package: str) -> None:
+    things = __import__(package).THINGS
+    assert things.names() == ["alpha", "beta"] and "alpha" in things and "gamma" not in things
+    things.check("beta")
+    things.check("gamma", "gamma")
+    with pytest.raises(UsageError, match=r"^unknown thing 'alpa'; expected one of alpha, beta; did you mean 'alpha'"):
+        things.check("alpa")
+    assert not {f"{package}.alpha", f"{package}.beta"} & set(sys.modules)
+    assert things["beta"] == "BETA" and f"{package}.alpha" not in sys.modules
+    assert things.name_of("BETA") == "beta" and f"{package}.alpha" not in sys.modules
+    assert things.name_of("ALPHA") == "alpha"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "for name in ('gamma', 'delta'):\n    THINGS.register(name)(name.upper())",
+        "THINGS.register(f'{\"gamma\"}')('GAMMA')",
+        "THINGS.register(name='gamma')('GAMMA')",
+    ],
+)
+def test_where_sources_do_not_say_everything_is_imported(package: str, tmp_path: Path, line: str) -> None:
+    (tmp_path / package / "worked_out.py").write_text(f"from pack_of_things import THINGS\n{line}\n")
+    things = __import__(package).THINGS
+    assert "gamma" in things and things["gamma"] == "GAMMA" and "alpha" in things.names()
+
+
+def test_a_name_that_is_registered_now_and_then_is_not_there_otherwise(package: str, tmp_path: Path) -> None:
+    text = "from pack_of_things import THINGS\nif False:\n    THINGS.register('gamma')('GAMMA')\n"
+    (tmp_path / package / "perhaps.py").write_text(text)
+    things = __import__(package).THINGS
+    with pytest.raises(UsageError, match=r"^unknown thing 'gamma'; expected one of alpha, beta$"):
+        things["gamma"]
+    assert list(things) == ["alpha", "beta"]
+
+
+def test_former_names_are_known_before_their_modules_are_imported(package: str, tmp_path: Path) -> None:
+    text = "from pack_of_things import THINGS\nTHINGS.register('gamma')('GAMMA')\nTHINGS.alias('third', 'gamma')\n"
+    (tmp_path / package / "gamma.py").write_text(text)
+    things = __import__(package).THINGS
+    assert things.canonical("third") == "gamma" and "third" in things and "third" not in things.names()
+    assert things["third"] == "GAMMA"
+
+
+def test_a_package_within_the_package_registers_too(package: str, tmp_path: Path) -> None:
+    inner = tmp_path / package / "inner"
+    inner.mkdir()
+    (inner / "__init__.py").write_text("import pack_of_things.inner.gamma\n")
+    (inner / "gamma.py").write_text("from pack_of_things import THINGS\nTHINGS.register('gamma')('GAMMA')\n")
+    things = __import__(package).THINGS
+    assert things.names() == ["alpha", "beta", "gamma"] and things["gamma"] == "GAMMA"
+
+
 def test_membership_does_not_raise(package: str) -> None:
     things = __import__(package).THINGS
     assert "alpha" in things

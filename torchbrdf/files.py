@@ -50,6 +50,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
     temporary = target.with_name(f".tmp-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
     _live.add(temporary.name)
     try:
+        _note_missing(target.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(target.parent)
         temporary.touch()
@@ -194,10 +195,34 @@ def is_passing(path: Path) -> bool:
     return path.name == LOCK or _TEMPORARY.fullmatch(path.name) is not None
 
 
+# Folders that were made, in the order in which they were, of each block that asks.
+_made: list[list[Path]] = []
+
+
+@contextmanager
+def without_empty_folders() -> Iterator[None]:
+    """Remove in the end the folders that this module made within and that are empty: nothing came of the work."""
+    _made.append([])
+    try:
+        yield
+    finally:
+        for path in reversed(_made.pop()):
+            with suppress(OSError):  # it is not empty, or gone
+                path.rmdir()
+
+
+def _note_missing(folder: Path) -> None:
+    """Remember which folders are about to be made."""
+    if _made:
+        there = Path(os.path.realpath(folder))  # a link may lead to one that is still to be made
+        _made[-1] += reversed([path for path in (there, *there.parents) if not path.exists()])
+
+
 def writable(folder: Path | str) -> Path:
     """The folder, made if need be; a DataError now rather than after the work if nothing can be written there."""
     folder = Path(folder)
     _expect(folder, stat.S_IFDIR)
+    _note_missing(folder)
     try:
         if folder.is_symlink():  # also to a folder that is still to be made
             Path(os.path.realpath(folder)).mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from torchbrdf.errors import UsageError, shown
+from torchbrdf.sources import Registrations, registrations
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -48,10 +49,10 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
 class Registry(Mapping[str, T], Generic[T]):
     """The things of one kind by name: those that modules of a package register, and those of other packages.
 
-    Looking a name up first imports every module of `package`, so that a file put there is found by itself. Names that
-    are not there are looked for among the entry points of `group` of all installed packages, which are loaded when
-    they are asked for or listed. One that cannot be loaded, or whose name is taken, is left out with a warning that
-    names its package; asking for it by name says why.
+    A file put into the package is found by itself: looking a name up imports the module whose source registers it, and
+    every module where the sources do not say. Names that are not there are looked for among the entry points of
+    `group` of all installed packages, which are loaded when they are asked for or listed. One that cannot be loaded, or
+    whose name is taken, is left out with a warning that names its package; asking for it by name says why.
 
     Args:
         kind: what things these are, for messages.
@@ -139,7 +140,36 @@ class Registry(Mapping[str, T], Generic[T]):
             >>> DIFFERENCES.canonical("delta_e")
             'delta_e76'
         """
-        return name if name in self._own() else self._aliases.get(name, name)
+        if name in self._things or name in self._sources.modules:
+            return name
+        return self._aliases.get(name) or self._sources.aliases.get(name, name)
+
+    def check(self, name: str, *also: str) -> None:
+        """Refuse a name that nothing has, without importing what has it: before there is work, and before torch is.
+
+        Args:
+            name: the name.
+            also: what else it may be.
+
+        Raises:
+            UsageError: there is no such name.
+
+        Example:
+            >>> from torchbrdf.kinds import LOSSES
+            >>> LOSSES.check("cube_root")
+        """
+        if name not in also and name not in self:
+            raise unknown(self.kind, name, {*self.names(), *also})
+
+    def names(self) -> list[str]:
+        """The names that there are, without importing what has them; of other packages also what cannot be loaded.
+
+        Example:
+            >>> from torchbrdf.kinds import LOBES
+            >>> "ward" in LOBES.names()
+            True
+        """
+        return sorted({*self._names(), *self._offered()})
 
     def name_of(self, thing: object) -> str | None:
         """The name that a thing is registered or offered under, without loading any other.
@@ -155,10 +185,35 @@ class Registry(Mapping[str, T], Generic[T]):
             >>> LOBES.name_of(Ward), LOBES.name_of(print)
             ('ward', None)
         """
-        for name, own in self._own().items():
-            if own == thing:
-                return name
-        return next((name for name, offer in self._offered().items() if _loaded(offer) is thing), None)
+
+        def in_memory() -> str | None:
+            return next((name for name, own in self._things.items() if own == thing), None)
+
+        name = in_memory()
+        if name is None and not self._complete:  # who has a thing has mostly imported what registers it
+            self._own()
+            name = in_memory()
+        return name or next((name for name, offer in self._offered().items() if _loaded(offer) is thing), None)
+
+    @property
+    def _sources(self) -> Registrations:
+        """What the package's sources say; what its modules have registered where they do not say."""
+        found = registrations(self.package)
+        if found is None:
+            self._own()
+        return found or Registrations({}, {})
+
+    def _names(self) -> set[str]:
+        """The names that the package's modules register, and those of what has been loaded of other packages."""
+        return {*self._sources.modules, *self._things}
+
+    def _find(self, name: str) -> T | None:
+        """A thing of the package by its name, after importing what registers it."""
+        if name not in self._things and not self._complete:
+            module = self._sources.modules.get(name)
+            if module is not None:
+                importlib.import_module(module)
+        return self._things.get(name)
 
     def _own(self) -> dict[str, T]:
         """What the package's modules register, and what has been loaded of other packages."""
@@ -174,7 +229,7 @@ class Registry(Mapping[str, T], Generic[T]):
         if self._offers is None:
             from importlib.metadata import entry_points
 
-            own, self._offers = {*self._own(), *self._aliases}, {}
+            own, self._offers = {*self._names(), *self._aliases, *self._sources.aliases}, {}
             offers = entry_points(group=self.group) if self.group else ()
             for offer in sorted(offers, key=lambda offer: (offer.name, _package(offer))):
                 name = offer.name
@@ -226,14 +281,15 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def __getitem__(self, name: str) -> T:
         name = self.canonical(name)
-        if name in self._things:
-            return self._things[name]
+        found = self._find(name)
+        if found is not None:
+            return found
         if name in self._offered():
             return self._load(name)
         raise unknown(self.kind, name, self._listed())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._own() or name in self._aliases or name in self._offered()
+        return name in self._names() or self.canonical(name) != name or name in self._offered()  # type: ignore[arg-type]
 
     def __iter__(self) -> Iterator[str]:
         return iter(sorted(self._listed()))

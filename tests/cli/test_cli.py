@@ -264,3 +264,29 @@ def test_what_the_system_says_is_one_line(tmp_path, capsys):
 def test_help_teaches():
     done = subprocess.run([sys.executable, "-m", "torchbrdf", "--help"], capture_output=True, text=True, check=True)
     assert "torchbrdf run fores2012" in done.stdout and "torchbrdf fit nickel.binary" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "BAD", "--out", "OUT/a/b"],
+        ["export", "BAD", "--to", "mitsuba", "--out", "OUT"],
+        ["export", "PAINT", "--to", "gltf", "--mesh", "nowhere.ply", "--out", "OUT"],
+        ["match", "BAD", "--budget", "quick", "--out", "OUT"],
+        ["render", "BAD", "--out", "OUT"],
+        ["render", "PAINT", "--environment", "nowhere.hdr", "--out", "OUT"],
+        ["view", "BAD", "--out", "OUT/view.html"],
+        ["check", "BAD", "--out", "OUT"],
+        ["study", "scale", "nowhere.csv", "--out", "OUT"],
+        ["study", "export", "nowhere", "--out", "OUT/answers.csv"],
+        ["study", "simulate", "nowhere", "--out", "OUT/answers.csv"],
+        ["run", "fores2012", "sise=3", "--out", "OUT"],
+    ],
+)
+def test_no_empty_folder_is_left_where_nothing_came_of_it(paint, tmp_path, capsys, arguments):
+    bad = tmp_path / "broken.binary"
+    bad.write_bytes(b"\x5a\x00\x00\x00\x5a\x00\x00\x00\xb4\x00\x00\x00" + bytes(100))
+    places = {"PAINT": paint, "BAD": bad, "OUT": tmp_path / "out"}
+    assert main([re.sub("PAINT|BAD|OUT", lambda found: str(places[found[0]]), a) for a in arguments]) > 0
+    assert not (tmp_path / "out").exists()
+    assert capsys.readouterr().err.startswith("torchbrdf")

@@ -31,9 +31,15 @@ def gl() -> str:
 def no_gl(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """OpenGL does not work."""
     monkeypatch.setattr(backends, "find_opengl", lambda: backends.OpenGL(None, "NoSuchDisplay: none"))
-    backends._usable.cache_clear()
+    backends.has_fast_opengl.cache_clear()
     yield
-    backends._usable.cache_clear()
+    backends.has_fast_opengl.cache_clear()
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every picture is worth OpenGL's start."""
+    monkeypatch.setattr(backends, "_START", 0.0)
 
 
 def bunny(data: Path) -> Mesh:
@@ -95,17 +101,43 @@ def test_of_equal_triangles_the_first_is_seen(backend: str, request: pytest.Fixt
         assert set(np.unique(seen.triangle)) == {-1, 0}
 
 
-def test_auto_takes_opengl_where_it_works(gl: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    backends._usable.cache_clear()
+@pytest.mark.usefixtures("large")
+def test_auto_takes_opengl_where_a_graphics_card_draws(gl: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "find_opengl", lambda: backends.OpenGL("NVIDIA H100"))
+    backends.has_fast_opengl.cache_clear()
     with monkeypatch.context() as patch:
         patch.setattr(backends.zbuffer, "nearest_triangles", None)
         drawn = rasterize(sphere(3), Camera(), 50, "auto")
+    backends.has_fast_opengl.cache_clear()
     assert gl
     np.testing.assert_array_equal(drawn.triangle, rasterize(sphere(3), Camera(), 50, "pyrender").triangle)
 
 
-@pytest.mark.usefixtures("no_gl")
-def test_auto_takes_software_where_it_does_not(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.usefixtures("large")
+@pytest.mark.parametrize(
+    "renderer",
+    ["llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe", "ANGLE (Google, SwiftShader Device)", "Software Rasterizer"],
+)
+def test_auto_takes_software_where_the_processor_draws(renderer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "find_opengl", lambda: backends.OpenGL(renderer))
+    monkeypatch.setattr(opengl, "nearest_triangles", None)
+    backends.has_fast_opengl.cache_clear()
+    drawn = rasterize(sphere(3), Camera(), 50, "auto")
+    backends.has_fast_opengl.cache_clear()
+    np.testing.assert_array_equal(drawn.triangle, rasterize(sphere(3), Camera(), 50, "software").triangle)
+
+
+def test_auto_does_not_try_opengl_for_what_software_has_drawn_before_it_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "find_opengl", None)
+    backends.has_fast_opengl.cache_clear()
+    assert rasterize(sphere(3), Camera(), 50, "auto").mask.any()
+    assert not backends.is_opengl_faster(33_000, 1200)  # the blob, at 400 pixels
+    with pytest.raises(TypeError):
+        backends.is_opengl_faster(10_000_000, 6000)
+
+
+@pytest.mark.usefixtures("no_gl", "large")
+def test_auto_takes_software_where_opengl_does_not_work(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "torchbrdf")
     drawn = [rasterize(sphere(3), Camera(), 50, backend) for backend in ("auto", "auto", "software")]
     np.testing.assert_array_equal(drawn[0].triangle, drawn[2].triangle)
@@ -121,13 +153,14 @@ def test_opengl_by_name_where_it_does_not_work_is_refused_with_the_reason() -> N
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("large")
 def test_a_drawing_that_fails_is_an_error_or_done_in_software(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> np.ndarray:
         raise OSError("out of\nmemory")
 
     monkeypatch.setattr(backends, "find_opengl", lambda: backends.OpenGL("something"))
     monkeypatch.setattr(opengl, "nearest_triangles", fail)
-    backends._usable.cache_clear()
+    backends.has_fast_opengl.cache_clear()
     with pytest.raises(UsageError, match="could not draw 50 x 50 pixels: OSError: out of memory"):
         rasterize(sphere(3), Camera(), 50, "pyrender")
     assert rasterize(sphere(3), Camera(), 50, "auto").mask.any()
@@ -135,7 +168,7 @@ def test_a_drawing_that_fails_is_an_error_or_done_in_software(monkeypatch: pytes
     with pytest.raises(UsageError, match="at most 100 faces and vertices, found 512"):
         rasterize(sphere(3), Camera(), 50, "pyrender")
     assert rasterize(sphere(3), Camera(), 50, "auto").mask.any()
-    backends._usable.cache_clear()
+    backends.has_fast_opengl.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import torch
 from helpers.painted import MATERIALS, Painted
 from torch import Tensor
 
+from torchbrdf import memory
 from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Lambert, Sum, Ward
@@ -231,7 +232,8 @@ def test_several_pictures_come_from_one_transport_and_are_as_good(monkeypatch: p
     rough = torch.tensor([[0.02], [0.1], [0.4]])
     lobes = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=rough))
     tables = load(standins()).batch([6, 5])
-    monkeypatch.setattr(draw, "MEMORY", 3 * 4 * 2 * (2 * len(scene.pairs) + 2000))  # two at a time
+    pairs = len(scene.pairs)
+    monkeypatch.setattr(memory, "limit", lambda: 2 * 3 * 4 * 2 * (2 * pairs + 2000))  # two at a time
     seen: list[tuple[int, int]] = []
     found = render([lobes, tables], scene, lambda *numbers: seen.append(numbers))
     direct = render_directly([lobes, tables], scene)

@@ -12,6 +12,7 @@ import torch
 from helpers.painted import MATERIALS
 from torch import Tensor
 
+from torchbrdf import memory
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Ward
@@ -121,7 +122,7 @@ def test_it_is_differentiable() -> None:
 
 def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lit.transport.in_memory  # made now, before what follows
-    monkeypatch.setattr(scenes, "LARGEST_KEPT", 0)
+    monkeypatch.setattr(memory, "limit", lambda: 0)
     monkeypatch.setattr(scenes, "_CHUNK", 20_000)
     streamed = make(punctual_lights=LIGHTS)
     assert not streamed.transport.in_memory

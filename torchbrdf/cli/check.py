@@ -4,7 +4,8 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say
+from torchbrdf.cli.common import Commands, Options, described, load_files, say
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import DataError
 
 if TYPE_CHECKING:

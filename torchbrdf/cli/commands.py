@@ -6,11 +6,13 @@ import sys
 import warnings
 from contextlib import nullcontext
 
-from torchbrdf import __version__
+from torchbrdf import __version__, memory
 from torchbrdf.cli import check, export, fit, info, match, render, run, score, study, view
 from torchbrdf.cli.common import Options, Parser, described
+from torchbrdf.cli.progress import reporting
 from torchbrdf.cli.signals import GRACE, ending
 from torchbrdf.errors import TorchbrdfError, UsageError, one_line
+from torchbrdf.files import without_empty_folders
 
 DESCRIPTION = """\
 Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
@@ -48,8 +50,14 @@ def perform(options: Options) -> int:
     warnings.formatwarning = lambda message, *_args, **_options: f"torchbrdf: {message}\n"
     # A server ends its answers first, and says how many there are.
     patient = options.command.__module__ == study.__name__
+    quiet = options.command is study.serve_command
     try:
-        with nullcontext() if patient else ending(GRACE):
+        with (
+            nullcontext() if patient else ending(GRACE),
+            nullcontext() if quiet else reporting(),
+            without_empty_folders(),
+            memory.limited(getattr(options, "memory", None)),
+        ):
             return int(options.command(options))
     except UsageError as error:
         print(f"torchbrdf: {error}", file=sys.stderr)

@@ -2,19 +2,14 @@
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from torchbrdf import bounds
+from torchbrdf import bounds, memory
 from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, printable, shown
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
-    from torchbrdf.progress import Progress
-
-# Of progress, where no terminal shows it.
-SECONDS_BETWEEN_LINES = 30.0
 
 Options = argparse.Namespace
 Commands = Any
@@ -80,35 +75,19 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def progress_bar(label: str) -> "Progress":
-    """A progress bar on a terminal, elsewhere a line every half minute; nothing where there is nothing to do."""
-    if not sys.stderr.isatty():
-        return _lines(label)
-    from tqdm import tqdm
-
-    shown: list[tqdm[Any]] = []
-
-    def progress(done: int, total: int) -> None:
-        if not shown:
-            shown.append(tqdm(total=total, desc=label, unit="", disable=None if total else True, leave=True))
-        shown[0].update(done - shown[0].n)
-        if done >= total:
-            shown[0].close()
-
-    return progress
+def add_memory(parser: argparse.ArgumentParser) -> None:
+    """Add the option of commands that draw."""
+    said = (
+        f"GiB that pictures and what is kept for them may take, {memory.LEAST:g} or more (default {memory.DEFAULT:g})"
+    )
+    kind = number(memory.LEAST, memory.MOST)
+    parser.add_argument("--memory", type=kind, default=memory.DEFAULT, metavar="GIB", help=said)
 
 
-def _lines(label: str) -> "Progress":
-    """A progress for a file or a log, which would show a bar as one endless line."""
-    said = [time.monotonic()]
-
-    def progress(done: int, total: int) -> None:
-        now = time.monotonic()
-        if done < total and now - said[0] >= SECONDS_BETWEEN_LINES:
-            said[0] = now
-            print(f"torchbrdf: {label}: {done} of {total}", file=sys.stderr)
-
-    return progress
+def add_backend(parser: argparse.ArgumentParser) -> None:
+    """Add the option of commands whose pictures are first rasterised."""
+    said = "what finds the triangle of each pixel: software, pyrender (OpenGL), or auto (default): the faster one here"
+    parser.add_argument("--backend", default="auto", help=said)
 
 
 def load_files(files: Sequence[str]) -> tuple[list["Measured"], bool]:

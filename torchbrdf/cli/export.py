@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, say
+from torchbrdf.cli.common import Commands, Options, add_memory, described, say
+from torchbrdf.cli.progress import progress_bar
+from torchbrdf.kinds import EXPORTERS, check_model
 
 if TYPE_CHECKING:
     from torchbrdf.errors import TorchbrdfError
@@ -41,11 +43,16 @@ def add(commands: Commands) -> None:
     parser.add_argument("--model", help="only fits of this model, such as ggx or oren_nayar+ggx")
     parser.add_argument("--loss", help="only fits under this loss, such as learned")
     parser.add_argument("--mesh", help="gltf: blob (default), sphere, or a mesh file")
+    add_memory(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf export`."""
+    EXPORTERS.check(options.to)
+    if options.model is not None:
+        check_model(options.model)
+
     from torchbrdf.errors import TorchbrdfError
     from torchbrdf.export.api import find_exporter, write
     from torchbrdf.export.materials import find_materials
@@ -63,13 +70,16 @@ def command(options: Options) -> int:
     out = writable(options.out)
     scene = Scene(blob(), size=128)
     failed = 0
-    for material in _with_stems(materials):
+    progress = progress_bar("materials")
+    for k, material in enumerate(_with_stems(materials)):
+        progress(k, len(materials))
         try:
             done = write(exporter, material, out)
             say(*_lines(material, done, scene))
         except TorchbrdfError as error:
             _left_out(error, material.name)
             failed += 1
+    progress(len(materials), len(materials))
     return 1 if bad or failed else 0
 
 

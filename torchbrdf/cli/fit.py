@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
-from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, short, whole
+from torchbrdf.cli.common import Commands, Options, add_memory, described, load_files, number, short, whole
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
-from torchbrdf.registry import unknown
+from torchbrdf.kinds import DIFFERENCES, DIFFUSE_MODES, INTERVALS, LOSSES, STRATEGIES, check_model, check_word
 
 if TYPE_CHECKING:
     from torchbrdf.lobes import FitRecord
@@ -84,26 +85,24 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
     )
+    add_memory(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
+    _check_names(options)
+
     from torchbrdf.experiment.discrimination import shares_of_fits
     from torchbrdf.experiment.labels import difference_label, diffuse_label
     from torchbrdf.files import destination, writable
-    from torchbrdf.fitting import STRATEGIES, Batches
-    from torchbrdf.fitting.api import DIFFUSE_MODES
-    from torchbrdf.fitting.intervals import check_method
+    from torchbrdf.fitting import Batches
     from torchbrdf.lobes import make_model, read_fits
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
-    if options.diffuse is not None and options.diffuse not in DIFFUSE_MODES:
-        raise unknown("--diffuse", options.diffuse, DIFFUSE_MODES)
-    check_method(options.intervals)
     model = make_model(options.model, options.lobes)
-    _check_loss(options)
+    DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed
     out = writable(options.out) if options.out else None
     # All files first: what is wrong with one is said before there is any work.
     if out is not None:
@@ -159,20 +158,21 @@ def samples(text: str) -> int | None:
     return None if text.lower() in ("all", "none", "0") else whole(1, 10_000_000)(text)
 
 
-def _check_loss(options: Options) -> None:
-    """A UsageError for an unknown loss or difference, and for options that another loss has."""
-    from torchbrdf.images import DIFFERENCES
-    from torchbrdf.losses import LOSSES
-
-    if options.loss not in OF_PICTURES and options.loss not in LOSSES:
-        raise unknown("loss", options.loss, [*LOSSES, *OF_PICTURES])
+def _check_names(options: Options) -> None:
+    """A UsageError for an unknown name, and for options that another loss has, before torch is imported."""
+    STRATEGIES.check(options.strategy)
+    if options.diffuse is not None:
+        check_word("--diffuse", options.diffuse, DIFFUSE_MODES)
+    check_word("--intervals", options.intervals, INTERVALS)
+    check_model(options.model)
+    LOSSES.check(options.loss, *OF_PICTURES)
     for key, default in OF_PICTURES.get(options.loss, OF_RENDERED).items():
         if getattr(options, key) is None:
             setattr(options, key, default)
         elif options.loss not in OF_PICTURES:
             expected = f"expected only with --loss {' or '.join(OF_PICTURES)}"
             raise UsageError(f"--{key}: {expected}, found --loss {options.loss}")
-    DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed
+    DIFFERENCES.check(options.difference)
 
 
 def _loss(options: Options) -> "Loss":
@@ -181,7 +181,6 @@ def _loss(options: Options) -> "Loss":
 
     if options.loss not in OF_PICTURES:
         return make_loss(options.loss)
-    from torchbrdf.images import DIFFERENCES
     from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh, small_scene
 
     difference = DIFFERENCES[options.difference]()

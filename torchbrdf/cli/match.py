@@ -2,7 +2,10 @@
 
 import sys
 
-from torchbrdf.cli.common import Commands, Options, described, progress_bar, say
+from torchbrdf.cli.common import Commands, Options, add_memory, described, say
+from torchbrdf.cli.progress import progress_bar
+from torchbrdf.kinds import EXPORTERS
+from torchbrdf.registry import unknown
 
 DESCRIPTION = """\
 Find for measured BRDFs the simplest model that a renderer has and whose pictures cannot be told from the measurement's,
@@ -39,11 +42,18 @@ def add(commands: Commands) -> None:
         default="default",
         help="how much is tried: quick, default, thorough, or seconds after which nothing else is begun",
     )
+    add_memory(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf match`."""
+    if options.target not in EXPORTERS:
+        raise unknown("target", options.target, EXPORTERS.names())
+    from torchbrdf.experiment.matching.candidates import find_budget
+
+    find_budget(options.budget)
+
     from torchbrdf.errors import TorchbrdfError
     from torchbrdf.report.match import PAGE, match
 

@@ -1,7 +1,9 @@
 """`torchbrdf render`."""
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, say, whole
+from torchbrdf.cli.common import Commands, Options, add_backend, add_memory, described, load_files, number, say, whole
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
+from torchbrdf.kinds import BACKENDS, check_word
 
 DESCRIPTION = """\
 Draw measured BRDFs, and the fits of a fits.json, under a light probe, to PNG (and linear EXR) files.
@@ -31,15 +33,18 @@ def add(commands: Commands) -> None:
         "--lamp", action="append", default=[], help="directional:X,Y,Z:COLOR or point:X,Y,Z:COLOR; may come again"
     )
     parser.add_argument("--shadows", action="store_true", help="the object casts shadows on itself (needs embreex)")
-    parser.add_argument(
-        "--backend", default="auto", help="pyrender (OpenGL), software, or auto (default): OpenGL where it works"
-    )
+    add_backend(parser)
+    add_memory(parser)
     parser.add_argument("--out", default=".", help="folder for the pictures (default: here)")
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf render`."""
+    check_word("backend", options.backend, BACKENDS)
+    if options.environment == "none" and not options.lamp:
+        raise UsageError("render: expected an environment or a lamp, found neither")
+
     from torchbrdf.files import destination, writable
     from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light
     from torchbrdf.report.sheet import SHEET, TONE_MAP, draw_groups
@@ -47,8 +52,6 @@ def command(options: Options) -> int:
     out = writable(options.out)
     for name in (f"{SHEET}.png", f"{TONE_MAP}.json"):
         destination(out / name)
-    if options.environment == "none" and not options.lamp:
-        raise UsageError("render: expected an environment or a lamp, found neither")
     light = None if options.environment == "none" else Environment.find(options.environment)
     scene = Scene(
         find_mesh(options.shape),

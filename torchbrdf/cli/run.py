@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, described, progress_bar
+from torchbrdf.cli.common import Commands, Options, add_memory, described
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError, shown
 
 DESCRIPTION = """\
@@ -28,6 +29,7 @@ def add(commands: Commands) -> None:
         "settings", nargs="*", metavar="key=value", help="settings; `torchbrdf run NAME help=` shows them"
     )
     parser.add_argument("--out", help="folder of the run (default: runs/NAME)")
+    add_memory(parser)
     parser.set_defaults(command=command)
 
 

@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
-from torchbrdf.cli.common import Commands, Options, described, progress_bar, say, whole
+from torchbrdf.cli.common import Commands, Options, add_memory, described, say, whole
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
+from torchbrdf.kinds import DIFFERENCES, check_metric
 
 if TYPE_CHECKING:
     from torchbrdf.losses import Loss
@@ -57,11 +59,20 @@ def add(commands: Commands) -> None:
     parser.add_argument("--replicates", type=whole(2, 100_000), default=1000, help="of the bootstrap")
     parser.add_argument("--seed", type=whole(*SEEDS), default=0, help="of pairs and bootstrap")
     parser.add_argument("--out", help="a folder for scores.csv and scores.json, with methods left out")
+    add_memory(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf score`."""
+    for name in options.metric:
+        check_metric(name)
+    for name in options.difference:
+        DIFFERENCES.check(name)
+    for key in ("materials", "human"):
+        if not (options.quick or getattr(options, key)):
+            raise UsageError(f"score: --{key}: expected a folder; --quick runs on made-up answers")
+
     from torchbrdf.experiment.benchmark import write_scores
     from torchbrdf.perception import score, uniform_pairs
     from torchbrdf.perception.datasets.synthetic import SYNTHETIC, synthetic_benchmark
@@ -128,9 +139,6 @@ def _read(options: Options) -> "BenchmarkData":
     from torchbrdf.experiment import HumanAnswersRecipe
     from torchbrdf.perception import read_benchmark_data
 
-    for key in ("materials", "human"):
-        if not getattr(options, key):
-            raise UsageError(f"score: --{key}: expected a folder; --quick runs on made-up answers")
     defaults = {one.name: one.default for one in fields(HumanAnswersRecipe)}
     keys = ("materials", "human", "fits", "factors", "triplets", "opinions")
     return read_benchmark_data(*(str(getattr(options, key) or defaults[key]) for key in keys))

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
-from torchbrdf.cli.common import Commands, Options, described, number, progress_bar, whole
+from torchbrdf.cli.common import Commands, Options, described, number, whole
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.kinds import SCALINGS, check_word
 
 if TYPE_CHECKING:
     from torchbrdf.study import Plan
@@ -224,6 +226,8 @@ def export_command(options: Options) -> int:
 
 def scale_command(options: Options) -> int:
     """`torchbrdf study scale`."""
+    check_word("method of scaling", options.method, SCALINGS)
+
     from torchbrdf.files import destination, writable
     from torchbrdf.reading import exists
     from torchbrdf.report.observers import FILES, write_scales

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say, whole
+from torchbrdf.cli.common import Commands, Options, add_backend, add_memory, described, load_files, say, whole
+from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
+from torchbrdf.kinds import BACKENDS, check_word
 
 DESCRIPTION = """\
 Draw measured BRDFs and fits from all around, and write one page to look at them: turn the object, wipe between a
@@ -28,6 +30,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--steps", type=whole(1, 360), default=12, help="sides that it is seen from, all around, 1 to 360 (default 12)"
     )
+    add_backend(parser)
+    add_memory(parser)
     parser.add_argument("--out", default="view.html", help="the page (default: view.html)")
     parser.add_argument("--open", action="store_true", help="open it in the browser")
     parser.set_defaults(command=command)
@@ -35,14 +39,16 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf view`."""
+    check_word("backend", options.backend, BACKENDS)
+    if "none" in options.environment:
+        raise UsageError("view: expected light probes, found none; without light a picture is black")
+
     from torchbrdf.files import writable_file
     from torchbrdf.measured.load import number_repeats
     from torchbrdf.names import clean_name
     from torchbrdf.render import Environment, find_mesh
     from torchbrdf.report.viewer import write_viewer
 
-    if "none" in options.environment:
-        raise UsageError("view: expected light probes, found none; without light a picture is black")
     out = writable_file(options.out)
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
@@ -57,6 +63,7 @@ def command(options: Options) -> int:
         mesh,
         size=options.size,
         steps=options.steps,
+        backend=options.backend,
         progress=progress_bar("sides"),
     )
     pictures = sum(map(len, groups)) * len(lights) * options.steps

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.stats import spearmanr
 
 from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.psychophysics import Scales
@@ -77,6 +76,8 @@ def _by_gloss(found: Sequence[Benefit], plan: Plan, other: str) -> str:
     angles = [plan.material(name).order for name in materials]
     if np.ptp(angles) == 0:
         return ""
+    from scipy.stats import spearmanr  # which takes longer to import than a quick run to fit
+
     result = spearmanr(angles, means, alternative="less")
     supported = "supported" if result.pvalue < 0.05 else "not supported"
     half = (len(materials) + 1) // 2

@@ -2,22 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
+from torchbrdf import kinds
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.experiment.grid import FitGrid
-from torchbrdf.fitting import STRATEGIES
-from torchbrdf.fitting.api import DIFFUSE_MODES
-from torchbrdf.lobes.model import lobe_count
-from torchbrdf.losses import LOSSES, Loss
-from torchbrdf.measured import Measured, load_all, standins
-from torchbrdf.perception import FACTORS, BenchmarkData, read_benchmark_data
 from torchbrdf.recipe import Recipe, RunFolder
-from torchbrdf.registry import Registry, unknown
 
+if TYPE_CHECKING:
+    from torchbrdf.experiment.grid import FitGrid
+    from torchbrdf.losses import Loss
+    from torchbrdf.measured import Measured
+    from torchbrdf.perception import BenchmarkData
+
+# Here and in recipes, what works is imported where it is used: wrong settings are refused before torch is imported.
 STANDINS = "stand-ins"
-# Pairs that the solver sees at most in a quick run.
-QUICK_SAMPLES = 4000
+# Pairs that the solver sees at most in a quick run, and of how many of a table's pairs there is one.
+QUICK_SAMPLES, QUICK_EVERY = 1000, 29
 # Bounds of settings, which the options of `torchbrdf fit` have, too.
 LOBE_COUNTS = {"low": 1, "high": 8}
 ANGLES = {"low": 1.0, "high": 90.0}
@@ -45,17 +45,16 @@ class FitGridRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.expect_names("models", "losses")
-        registries: list[tuple[Registry[Any], tuple[str, ...]]] = [
-            (LOSSES, self.losses),
-            (STRATEGIES, (self.strategy,)),
-        ]
-        for registry, names in registries:
-            for name in names:
-                registry[name]  # an unknown one is said before a folder is written
+        for name in self.losses:
+            kinds.LOSSES.check(name)
+        for name in self.models:
+            kinds.check_model(name)
+        kinds.STRATEGIES.check(self.strategy)
+        kinds.check_word(f"diffuse of {self.name}", self.diffuse, kinds.DIFFUSE_MODES)
+        from torchbrdf.lobes.model import lobe_count  # last, as it imports torch
+
         for name in self.models:
             lobe_count(name, self.lobes)
-        if self.diffuse not in DIFFUSE_MODES:
-            raise unknown(f"diffuse of {self.name}", self.diffuse, DIFFUSE_MODES)
 
     def expect_names(self, *settings: str) -> None:
         """A UsageError if one of these settings is empty, or has a name twice."""
@@ -70,13 +69,13 @@ class FitGridRecipe(Recipe):
     def make_grid(
         self,
         folder: RunFolder,
-        groups: list[Measured],
-        losses: Mapping[str, Loss],
+        groups: "list[Measured]",
+        losses: "Mapping[str, Loss]",
         *,
         models: tuple[str, ...] = (),
         lobes: tuple[int, ...] = (),
         compare_strategy: str | None = None,
-    ) -> FitGrid:
+    ) -> "FitGrid":
         """The grid of fits that the settings describe.
 
         Args:
@@ -87,6 +86,8 @@ class FitGridRecipe(Recipe):
             lobes: Numbers of lobes, where there are several.
             compare_strategy: Another strategy.
         """
+        from torchbrdf.experiment.grid import FitGrid
+
         return FitGrid(
             folder,
             groups,
@@ -102,13 +103,13 @@ class FitGridRecipe(Recipe):
         )
 
 
-def load_materials(materials: str, folder: RunFolder, quick: bool) -> tuple[list[Measured], list[str]]:
+def load_materials(materials: str, folder: RunFolder, quick: bool) -> "tuple[list[Measured], list[str]]":
     """The measured BRDFs of a file or a folder, or the stand-ins.
 
     Args:
         materials: A path, or `stand-ins`.
         folder: Of the run; its log says what was left out.
-        quick: Take two of each format.
+        quick: Take two of each format, and few of their pairs.
 
     Returns:
         The materials by format, and what was left out.
@@ -122,6 +123,8 @@ def load_materials(materials: str, folder: RunFolder, quick: bool) -> tuple[list
         >>> groups[0].names, left_out
         (['alum-bronze', 'aluminium'], [])
     """
+    from torchbrdf.measured import load_all, standins
+
     bad: list[DataError] = []
     groups = load_all(standins() if materials == STANDINS else materials, bad=bad)
     if not groups:
@@ -129,8 +132,17 @@ def load_materials(materials: str, folder: RunFolder, quick: bool) -> tuple[list
     for error in bad:
         folder.warn(f"left out: {error}")
     if quick:
-        groups = [group.batch(range(min(2, len(group)))) for group in groups]
+        groups = [_few(group) for group in groups]
     return groups, [str(error) for error in bad]
+
+
+def _few(group: "Measured") -> "Measured":
+    """Two materials, with one of QUICK_EVERY pairs where they have many."""
+    import torch
+
+    count = len(group.pairs)
+    every = QUICK_EVERY if count > QUICK_EVERY * QUICK_SAMPLES else 1
+    return group.batch(range(min(2, len(group))), torch.arange(0, count, every, dtype=torch.int64, device="cpu"))
 
 
 @dataclass(frozen=True)
@@ -143,7 +155,7 @@ class HumanAnswersRecipe(Recipe):
     factors: str = field(
         default="npf.bin",
         metadata={
-            "help": f"non-parametric factors of approximations, method {FACTORS}; left out where there is no such file"
+            "help": "non-parametric factors of approximations, method BAGHER; left out where there is no such file"
         },
     )
     triplets: str = field(default="lagunas2019_triplets_train.json", metadata={"help": "a file in `human`"})
@@ -155,6 +167,8 @@ class HumanAnswersRecipe(Recipe):
         default=1000, metadata={"help": "bootstrap replicates over materials", "low": 2, "high": 100_000}
     )
 
-    def read_benchmark_data(self) -> BenchmarkData:
+    def read_benchmark_data(self) -> "BenchmarkData":
         """The materials, approximations and answers that the settings name."""
+        from torchbrdf.perception import read_benchmark_data
+
         return read_benchmark_data(self.materials, self.human, self.fits, self.factors, self.triplets, self.opinions)

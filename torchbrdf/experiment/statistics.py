@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from torchbrdf.experiment.pictures import DIFFERENCE
 from torchbrdf.images import DIFFERENCES
@@ -39,8 +38,14 @@ def rank_agreement(records: Records, metric: str, difference: str) -> float:
         errors = [record.errors[metric] for record in own]
         differences = [penalty(record.differences[difference], difference) for record in own]
         if len(own) > 2 and np.ptp(errors) > 0 and np.ptp(differences) > 0:
-            found.append(float(spearmanr(errors, differences).statistic))
+            found.append(float(np.corrcoef(_ranks(errors), _ranks(differences))[0, 1]))
     return float(np.mean(found)) if found else float("nan")
+
+
+def _ranks(values: Sequence[float]) -> np.ndarray:
+    """The rank of each value; of equals their mean rank."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - (counts - 1) / 2)[place]
 
 
 def outlier_count(records: Records, model: str, loss: str) -> int:

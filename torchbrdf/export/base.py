@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from torch import Tensor
 
+from torchbrdf import kinds
 from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
@@ -17,9 +18,7 @@ from torchbrdf.names import check_name, file_stem
 from torchbrdf.registry import Registry
 from torchbrdf.render import Mesh
 
-EXPORTERS: Registry[type["Exporter"]] = Registry(
-    "exporter", "torchbrdf.export", "torchbrdf.exporters", lambda: Exporter
-)
+EXPORTERS: Registry[type["Exporter"]] = kinds.EXPORTERS
 
 Brdf = Lobe | Measured
 

@@ -1,17 +1,38 @@
 """Fitting models to measured materials: objectives, strategies, scores, results."""
 
-from torchbrdf.fitting.api import SlowFitWarning, fit
-from torchbrdf.fitting.batches import Batches
-from torchbrdf.fitting.global_search import GlobalSearch
-from torchbrdf.fitting.image_driven import ImageDriven
-from torchbrdf.fitting.result import FitResult, write_fits_csv
-from torchbrdf.fitting.sampling import stratified
-from torchbrdf.fitting.scoring import cross_score, local_minima, score
-from torchbrdf.fitting.strategy import STRATEGIES
-from torchbrdf.fitting.sufficient_statistics import Gathered
-from torchbrdf.fitting.tabulated import TabulatedFit
+from typing import TYPE_CHECKING
+
+from torchbrdf._lazy import exports
 from torchbrdf.solvers import Status
 
+if TYPE_CHECKING:
+    from torchbrdf.fitting.api import SlowFitWarning, fit
+    from torchbrdf.fitting.batches import Batches
+    from torchbrdf.fitting.global_search import GlobalSearch
+    from torchbrdf.fitting.image_driven import ImageDriven
+    from torchbrdf.fitting.result import FitResult, write_fits_csv
+    from torchbrdf.fitting.sampling import stratified
+    from torchbrdf.fitting.scoring import cross_score, local_minima, score
+    from torchbrdf.fitting.strategy import STRATEGIES
+    from torchbrdf.fitting.sufficient_statistics import Gathered
+    from torchbrdf.fitting.tabulated import TabulatedFit
+
+_HOME = {
+    "SlowFitWarning": "api",
+    "fit": "api",
+    "Batches": "batches",
+    "GlobalSearch": "global_search",
+    "ImageDriven": "image_driven",
+    "FitResult": "result",
+    "write_fits_csv": "result",
+    "stratified": "sampling",
+    "cross_score": "scoring",
+    "local_minima": "scoring",
+    "score": "scoring",
+    "STRATEGIES": "strategy",
+    "Gathered": "sufficient_statistics",
+    "TabulatedFit": "tabulated",
+}
 __all__ = [
     "STRATEGIES",
     "Batches",
@@ -29,3 +50,5 @@ __all__ = [
     "stratified",
     "write_fits_csv",
 ]
+
+__getattr__, __dir__ = exports(__name__, _HOME)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchbrdf import kinds
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.intervals import (
@@ -37,7 +38,7 @@ from torchbrdf.precision import HALVES, undisturbed
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.solvers import Status
 
-DIFFUSE_MODES = ("45:0", "fit")
+DIFFUSE_MODES = kinds.DIFFUSE_MODES
 
 
 class SlowFitWarning(UserWarning):

@@ -12,6 +12,7 @@ import torch
 from scipy.special import stdtrit
 from torch import Tensor
 
+from torchbrdf import kinds
 from torchbrdf.bootstrap import resample_counts
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting.objective import FitObjective, GaussNewtonObjective
@@ -21,8 +22,8 @@ from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes.parameter_dict import ParameterDict, take_materials
 from torchbrdf.losses import Problem
 
-NONE, GAUSS_NEWTON, BOOTSTRAP = "none", "gauss_newton", "bootstrap"
-METHODS = (NONE, GAUSS_NEWTON, BOOTSTRAP)
+NONE, GAUSS_NEWTON, BOOTSTRAP = kinds.INTERVALS
+METHODS = kinds.INTERVALS
 LEVEL = 0.95
 # Stretches of neighbouring pairs that are drawn as one, draws, and draws that are refitted at a time.
 BLOCKS, DRAWS, AT_A_TIME = 100, 100, 10

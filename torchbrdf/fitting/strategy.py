@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from torchbrdf import kinds
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.registry import Registry
@@ -56,7 +57,7 @@ class Outcome:
 # A function of the task, the parameters at the start, and whether the diffuse albedo is fitted.
 Strategy = Callable[[Task, ParameterDict, bool], Outcome]
 
-STRATEGIES: Registry[Strategy] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies", lambda: None)
+STRATEGIES: Registry[Strategy] = kinds.STRATEGIES
 
 
 def strategy_name(strategy: str | Strategy) -> str:

@@ -10,13 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError, UsageError
+from torchbrdf.kinds import LOBES as _LOBES
 from torchbrdf.lobes.evaluation import check_leading, check_signature, check_values, half_in_float32
 from torchbrdf.lobes.parameter import BoundedParameter, Value
 from torchbrdf.lobes.separable import Slopes, tangents, value_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
-LOBES: Registry[type["Lobe"]] = Registry("lobe", "torchbrdf.lobes", "torchbrdf.lobes", lambda: Lobe)
+LOBES: Registry[type["Lobe"]] = _LOBES
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)

@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.kinds import JOIN as JOIN
+from torchbrdf.kinds import SHARE as SHARE
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.lobes.sum import Sum, check_shared
 
 DIFFUSE_KEY = "diffuse"
-JOIN = "+"
-SHARE = ":"
 # The bounds of all parameters are far below.
 LARGEST_PARAMETER = 1e10
 

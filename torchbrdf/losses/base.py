@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from torchbrdf.errors import ShapeError
+from torchbrdf.kinds import LOSSES as _LOSSES
 from torchbrdf.losses import derivatives
 from torchbrdf.losses.elementary import NEW, Out
 from torchbrdf.losses.kept import Kept
@@ -17,7 +18,7 @@ from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 from torchbrdf.roots import safe_sqrt
 
-LOSSES: Registry[type["Loss"]] = Registry("loss", "torchbrdf.losses", "torchbrdf.losses", lambda: Loss)
+LOSSES: Registry[type["Loss"]] = _LOSSES
 # Names of before, which fits.json and commands may still have.
 LOSSES.alias("cosine", "cosine_rms")
 LOSSES.alias("cuberoot", "cube_root")

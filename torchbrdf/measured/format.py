@@ -10,15 +10,14 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError
+from torchbrdf.kinds import FORMATS as _FORMATS
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 Interpolation = Literal["linear", "nearest"]
 
 
-FORMATS: Registry[type["BrdfFormat"]] = Registry(
-    "format", "torchbrdf.measured", "torchbrdf.formats", lambda: BrdfFormat
-)
+FORMATS: Registry[type["BrdfFormat"]] = _FORMATS
 
 
 class Lookup(NamedTuple):

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
@@ -72,5 +71,7 @@ def normalized(rows: Tensor) -> tuple[Tensor, Tensor]:
 
 def nearest_valid(valid: np.ndarray) -> np.ndarray:
     """For every entry of a grid the row of the valid entry nearest to it, by distance in entries, `(K,)`."""
+    from scipy import ndimage  # late, as it takes long to import, and most tables have no holes
+
     place = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
     return np.ravel_multi_index(tuple(place), valid.shape).reshape(-1).astype(np.int32)

@@ -1,6 +1,7 @@
 """A measured BRDF: values on Pairs, read from their source in the parts that are asked for."""
 
 import math
+import operator
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.errors import DataError, ShapeError, UsageError, shown
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, nearest_samples, reopened
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs, check_max_theta
@@ -176,8 +177,13 @@ class Measured:
         Args:
             materials: Indices into these materials; by default all.
             samples: Indices `(n,)` into these samples; by default all.
+
+        Raises:
+            UsageError: There is no such material or sample.
         """
-        chosen = self.materials if materials is None else [self.materials[k] for k in materials]
+        chosen = self.materials if materials is None else [self.materials[_row(k, len(self))] for k in materials]
+        if samples is not None:
+            _check_samples(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
         if samples is not None and self.samples is not None:
             samples = self.samples[samples.to(self.samples.device)]
         return self._view(materials=chosen, samples=self.samples if samples is None else samples)
@@ -318,3 +324,24 @@ class Measured:
         angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
         value = self.at(Pairs.from_half_diff(angle, angle, torch.zeros_like(angle)))[:, 0]
         return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)
+
+
+def _row(material: Any, count: int) -> int:
+    """An index into so many materials, which may count from the end."""
+    try:
+        row = operator.index(material)
+    except TypeError:
+        row = count
+    if not -count <= row < count:
+        there = f"materials 0 to {count - 1}" if count else "no material, since there is none"
+        raise UsageError(f"batch: expected {there}, found {shown(material)}")
+    return row
+
+
+def _check_samples(samples: Tensor, count: int) -> None:
+    """A UsageError for indices that are none into so many samples."""
+    if samples.dtype == torch.bool or not len(samples):
+        return
+    low, high = int(samples.min()), int(samples.max())
+    if not -count <= low <= high < count:
+        raise UsageError(f"batch: expected samples 0 to {count - 1}, found {high if high >= count else low}")

@@ -2,7 +2,6 @@
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from torchbrdf.measured.grid import nearest_valid
@@ -49,6 +48,8 @@ def merl_values(brdf: Brdf) -> Tensor:
         found = (found + values_at(brdf, Pairs.from_directions(pairs.wo, pairs.wi))) / 2
     values = torch.full((above.size, 3), torch.nan, dtype=torch.float64, device="cpu")
     values[torch.from_numpy(above)] = found.clamp_max(LARGEST_ENTRY * min(CHANNEL_SCALES))
+    from scipy import ndimage  # late, as it takes long to import
+
     inside = above.reshape(BINS)
     across = np.flatnonzero(ndimage.binary_dilation(inside, np.ones((3, 3, 3))) & ~inside)
     values[torch.from_numpy(across)] = values[torch.from_numpy(nearest_valid(inside)[across]).long()]

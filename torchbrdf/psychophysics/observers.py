@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 import torch
-from scipy import stats
+from scipy import special
 from torch import Tensor
 
 from torchbrdf.psychophysics.comparisons import Comparisons, one_experiment
@@ -59,6 +59,8 @@ def observer_reports(
     or more and most observers do better. Simulated, 0 to 3 % of observers have a likelihood_z below -3 who are like
     the others (4 % with 6 trials each), and all who guess, from 75 trials with stimuli 0.5 units apart on average.
     """
+    from scipy import stats  # late, as it takes long to import
+
     answers = one_experiment(answers, experiment)
     comparisons = Comparisons.from_answers(answers)
     likely = agreement_with_others(comparisons, prior).tolist()
@@ -81,7 +83,7 @@ def observer_reports(
         if left_p < ONE_SIDED_P:
             share = 100 * sum(sides) / len(sides)
             flags.append(f"chose the left side in {share:.0f} % of {len(sides)} trials (p = {left_p:.1g})")
-        if missed and stats.binom.sf(missed - 1, len(catches), ATTENTIVE) < FAILED_P:
+        if missed and special.bdtrc(missed - 1, len(catches), ATTENTIVE) < FAILED_P:
             flags.append(f"missed {missed} of {len(catches)} catch trials")
         if circular[k]:
             flags.append(circular[k])
@@ -147,9 +149,9 @@ def _triad_flags(wins: Tensor, triads: Tensor) -> list[str]:
     found = triads.nansum(-1)
     z = (found - mean) / variance.sqrt()
     triples = 4 * mean
-    by_chance = (z > stats.norm.ppf(0.05)) & (triples >= FEWEST_TRIPLES)
+    by_chance = (z > special.ndtri(0.05)) & (triples >= FEWEST_TRIPLES)
     # Where stimuli are alike for everybody, nobody does better.
-    by_chance &= (z < stats.norm.ppf(0.05)).to(torch.float64).mean() > 0.5
+    by_chance &= (z < special.ndtri(0.05)).to(torch.float64).mean() > 0.5
     return [
         f"{found[k]:.0f} circular triads of {triples[k]:.0f} triples, no fewer than by chance" if by_chance[k] else ""
         for k in range(len(wins))

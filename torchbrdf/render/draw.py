@@ -7,6 +7,7 @@ from itertools import zip_longest
 import torch
 from torch import Tensor
 
+from torchbrdf import memory
 from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_materials, with_parameters
@@ -18,9 +19,8 @@ from torchbrdf.render.scene import Chunk, Scene
 
 # Measured tables that are open at once.
 _TABLES = 12
-# Pictures from which on a transport is worth its making, and the bytes that several may take at a time.
+# Pictures from which on a transport is worth its making.
 SEVERAL = 4
-MEMORY = 2**30
 # Pairs on which light and viewer change places, and the mean relative difference that is none.
 _TRIED, _NONRECIPROCAL = 256, 1e-3
 
@@ -93,7 +93,7 @@ def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress
     """As `render`: every BRDF evaluated on the scene's compact pairs, and one sparse product for many pictures."""
     shaders = [shader for one in brdfs for run in _shaders(one) for shader in run]
     bytes_each = 3 * torch.float32.itemsize * (2 * len(scene.pairs) + len(scene.transport.index))
-    together = max(1, MEMORY // bytes_each)
+    together = max(1, memory.limit() // 2 // bytes_each)
     found, done, total = [], 0, 2 * sum(_pictures(one) for one in brdfs)
 
     def advance(count: int) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torchbrdf import memory
 from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
@@ -27,8 +28,7 @@ Chunk = tuple[Tensor, Pairs, Tensor]
 
 # Pairs at a time: their quantities then stay in a processor's cache.
 _CHUNK = 65536
-# A transport whose entries could take more bytes is not kept, but made anew for each product.
-LARGEST_KEPT = 2**30
+# A transport whose entries could take more than half of `memory.limit()` is not kept, but made anew for each product.
 _BYTES_PER_ENTRY = 16
 
 
@@ -47,7 +47,7 @@ class Scene:
         light_samples: Directional lights that stand for the environment elsewhere.
         punctual_lights: Point and directional lights.
         shadows: Whether the object casts shadows on itself (a convex one has none); needs embreex.
-        backend: What finds the triangle of each pixel: "software", "pyrender", or "auto".
+        backend: What finds the triangle of each pixel: "software", "pyrender", or "auto", the faster one here.
         resolution: Bins of theta_h, theta_d and phi_d of the compact pairs, 4 to 1024 each.
         cache: A folder where the transport is kept.
 
@@ -144,7 +144,7 @@ class Scene:
     @undisturbed()
     def _whole(self) -> tuple[Pairs, Transport]:
         index = self._pixels.index
-        if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > LARGEST_KEPT:
+        if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > memory.limit() // 2:
             pairs, make = self._built
             return pairs, Transport(len(pairs), index, self.size, make)
 

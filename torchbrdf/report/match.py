@@ -75,7 +75,7 @@ def match(
         nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 12 % of observers would ...
     """
     if target not in EXPORTERS:
-        raise unknown("target", target, EXPORTERS)
+        raise unknown("target", target, EXPORTERS.names())
     budget = find_budget(budget) if isinstance(budget, str) else budget
     with nullcontext() if out is None else prepared(Path(out)) as folder:
         if folder is not None:

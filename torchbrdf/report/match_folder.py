@@ -1,14 +1,14 @@
 """The folder of `match`, to which others may add: match.json, match.html, and the parts of the page that are kept."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from torchbrdf.errors import DataError
 from torchbrdf.experiment.items import distinct_stems
-from torchbrdf.files import destination, locked, writable, write_json
+from torchbrdf.files import destination, locked, without_empty_folders, writable, write_json
 from torchbrdf.reading import read_json
 from torchbrdf.report.match_page import Block, write_match_page
 
@@ -31,18 +31,13 @@ def prepared(out: Path) -> Iterator[Path]:
     Raises:
         DataError: It cannot be written.
     """
-    missing = [path for path in (out / FITS / PAGES, out / FITS, out, *out.parents) if not path.exists()]
-    try:
+    with without_empty_folders():
         folder = writable(out)
         for name in (LIST, PAGE):
             destination(folder / name)
         for part in (folder / FITS, folder / FITS / PAGES):
             writable(part)
         yield folder
-    finally:
-        for path in missing:
-            with suppress(OSError):  # it is not there, or not empty: something was written
-                path.rmdir()
 
 
 def read_entries(folder: Path) -> list[Entry]:

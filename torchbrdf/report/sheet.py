@@ -11,7 +11,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from torch import Tensor
 
-from torchbrdf.errors import UsageError
 from torchbrdf.experiment.items import Item, list_items
 from torchbrdf.experiment.labels import difference_label
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, DIFFERENCE, color_difference
@@ -21,6 +20,7 @@ from torchbrdf.measured import Measured
 from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, brief, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Scene, render
+from torchbrdf.report.limits import check_pixels
 from torchbrdf.report.style import new_figure
 
 # Pictures side by side, unless a material has more fits.
@@ -31,9 +31,6 @@ SIDE, TITLE, MOST_INCHES = 2.1, 0.4, 150.0
 LETTERS, LETTERS_OF_FOOT = 36, 19
 # Between pictures, as a share of a cell; room for the colour scale, and for what numbers mean, in inches.
 GAP, SCALE_WIDTH, FOOT = 0.03, 0.9, 0.5
-
-# Of all pictures that are held at once; they take some 50 bytes each.
-MOST_PIXELS = 200_000_000
 
 # Names that a folder of pictures has for itself.
 SHEET, TONE_MAP = "sheet", "tonemap"
@@ -64,7 +61,7 @@ def draw_groups(
         The PNG files, and what each shows, for people.
 
     Raises:
-        UsageError: All pictures together have more than MOST_PIXELS pixels.
+        UsageError: All pictures together have more than `limits.MOST_PIXELS` pixels.
     """
     items = list_items(groups, reserved=(SHEET, TONE_MAP))
     check_pixels("render", len(items), scene.size)
@@ -89,15 +86,6 @@ def draw_groups(
     write_sheet(sheet, items, display, maps, delta_e, scene.coverage)
     fits = any(item.reference is not None for item in items)
     return [*written, (sheet, "all of them" + ", and where fits differ from their materials" * fits)]
-
-
-def check_pixels(what: str, pictures: int, size: int) -> None:
-    """A UsageError if so many pictures of `size` x `size` pixels are more than memory should be asked for."""
-    if pictures * size**2 > MOST_PIXELS:
-        raise UsageError(
-            f"{what}: expected at most {MOST_PIXELS} pixels in all, found {pictures} pictures of {size} x {size}; "
-            "ask for smaller ones, or fewer at once"
-        )
 
 
 def write_sheet(

@@ -17,7 +17,7 @@ from torchbrdf.perception.discrimination.words import MEANING, said, scale
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
 from torchbrdf.report.embed import embed_display, template
-from torchbrdf.report.sheet import check_pixels
+from torchbrdf.report.limits import check_pixels
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
 QUALITY = 88
@@ -33,13 +33,15 @@ def write_viewer(
     *,
     size: int = 320,
     steps: int = 12,
+    backend: str = "software",
     progress: Progress = quiet,
 ) -> Path:
     """Draw what the groups hold from `steps` sides in each of the named lights, and write the page; gives its path.
 
     All pictures in one light share a tone map, measured over those of the first side. A fit's image differences are
     those from the material of the same name; measured, if there is one, else its stand-in. `progress` is told
-    of each of the `steps * len(lights)` scenes. A UsageError or DataError says what cannot be shown.
+    of each of the `steps * len(lights)` scenes; `backend` is that of `Scene`. A UsageError or DataError says what
+    cannot be shown.
     """
     destination(path)
     path = Path(path)
@@ -61,7 +63,7 @@ def write_viewer(
         frames.append([])
         numbers.append([])
         for step in range(steps):
-            scene = Scene(mesh, Camera(rotation=step * 360 / steps), light, size=size)
+            scene = Scene(mesh, Camera(rotation=step * 360 / steps), light, size=size, backend=backend)
             pictures = render(groups, scene)
             if step == 0:
                 tones.append(ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1])))

@@ -4,11 +4,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from torchbrdf.errors import UsageError, shown
-from torchbrdf.experiment.labels import model_label
-from torchbrdf.lobes import LOBES, Lobe, make_model
-from torchbrdf.lobes.model import JOIN, component_kinds
+from torchbrdf.kinds import JOIN, LOBES
+
+if TYPE_CHECKING:
+    from torchbrdf.lobes import Lobe
 
 PICTURES = "rendered"
 # Of a metric and pictures together: between their names.
@@ -42,8 +44,10 @@ class Candidate:
             return self.metrics
         return (*([budget.metric] if budget.metric else []), PICTURES)
 
-    def make(self) -> Lobe:
+    def make(self) -> "Lobe":
         """The model, at its start."""
+        from torchbrdf.lobes import make_model
+
         return make_model(self.model, self.lobes)
 
     @property
@@ -54,6 +58,9 @@ class Candidate:
     @property
     def label(self) -> str:
         """What it is, for people; the Lambert term that most models have is not said."""
+        from torchbrdf.experiment.labels import model_label
+        from torchbrdf.lobes.model import component_kinds
+
         own = [LOBES[part] for part in self.model.split(JOIN)]
         if own[0].is_material:
             return f"the {model_label(self.model)} material"
@@ -66,6 +73,8 @@ class Candidate:
 
 
 def _counted(name: str, count: int) -> str:
+    from torchbrdf.experiment.labels import model_label
+
     return model_label(name) if LOBES[name].is_diffuse else so_many(count, f"{model_label(name)} lobe")
 
 

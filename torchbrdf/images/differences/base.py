@@ -8,14 +8,13 @@ from torch import Tensor, nn
 
 from torchbrdf.color import safe_power
 from torchbrdf.errors import ShapeError
+from torchbrdf.kinds import DIFFERENCES as _DIFFERENCES
 from torchbrdf.precision import widened, without_autocast
 from torchbrdf.reduction import Reduction, check_reduction, reduced
 from torchbrdf.registry import Registry
 from torchbrdf.roots import safe_norm
 
-DIFFERENCES: Registry[type["Difference"]] = Registry(
-    "difference", "torchbrdf.images.differences", "torchbrdf.differences", lambda: Difference
-)
+DIFFERENCES: Registry[type["Difference"]] = _DIFFERENCES
 
 # What both pictures show where nothing counts, so that windows that reach there see them equal.
 _GREY = 0.5

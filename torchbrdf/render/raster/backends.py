@@ -1,4 +1,4 @@
-"""What finds the triangle that each pixel shows: OpenGL where it works, else software."""
+"""What finds the triangle that each pixel shows: OpenGL where it works and is faster, else software."""
 
 import functools
 import logging
@@ -8,14 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchbrdf import kinds
 from torchbrdf.errors import UsageError
 from torchbrdf.registry import unknown
 from torchbrdf.render.raster import opengl, zbuffer
 
-BACKENDS = ("auto", "pyrender", "software")
+BACKENDS = kinds.BACKENDS
 
 # Seconds for OpenGL to show that it works; importing it from a cold disk takes a while.
 _PATIENCE = 60.0
+# Seconds of software for a face and for a pixel, and those that OpenGL takes before its first picture: a process that
+# tries it, and its import in this one. `benchmarks/renders.py` measures both.
+_FACE, _PIXEL, _START = 4e-7, 2e-7, 2.0
+# OpenGL on the processor, by what is in its renderer's name: slower than our own.
+_ON_CPU = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software", "basic render")
 _INSTALL = "on Debian apt-get install libegl1 libgl1 libgl1-mesa-dri libxrender1"
 
 
@@ -54,23 +60,34 @@ def find_opengl() -> OpenGL:
 
 
 @functools.cache
-def _usable() -> bool:
-    """Whether auto means OpenGL; it is said once if not."""
+def has_fast_opengl() -> bool:
+    """Whether OpenGL works, and not on the processor; it is said once if not."""
     found = find_opengl()
-    if not found.renderer:
-        logging.getLogger("torchbrdf").info("torchbrdf: rasterizing in software; OpenGL: %s", found.reason)
-    return bool(found.renderer)
+    reason = found.reason
+    if found.renderer and any(word in found.renderer.lower() for word in _ON_CPU):
+        reason = f"{found.renderer} draws on the processor, which software does faster"
+    if reason:
+        logging.getLogger("torchbrdf").info("torchbrdf: rasterizing in software; OpenGL: %s", reason)
+    return not reason
+
+
+def is_opengl_faster(faces: int, size: int) -> bool:
+    """Whether auto means OpenGL for so many faces on `size` x `size` pixels.
+
+    Not where software is done before it starts. Both draw the same, but for pixels at edges, see `rasterize`.
+    """
+    return faces * _FACE + size**2 * _PIXEL > _START and has_fast_opengl()
 
 
 def nearest_triangles(points: np.ndarray, faces: np.ndarray, size: int, backend: str) -> np.ndarray:
     """The id of the nearest triangle at each pixel's centre, `(size, size)`, -1 where there is none.
 
     points: `(3, V)`, column, row and closeness as `Camera.project` gives them; faces: `(F, 3)`.
-    backend: software, pyrender, or auto, which is pyrender where that works.
+    backend: software, pyrender, or auto, which is pyrender where that works and is faster.
     """
     if backend not in BACKENDS:
         raise unknown("backend", backend, BACKENDS)
-    if backend == "software" or (backend == "auto" and not _usable()):
+    if backend == "software" or (backend == "auto" and not is_opengl_faster(len(faces), size)):
         return zbuffer.nearest_triangles(points, faces, size)
     try:
         return _by_opengl(points, faces, size)
