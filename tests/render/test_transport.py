@@ -17,9 +17,11 @@ from torchbrdf.images import DIFFERENCES, ToneMap
 from torchbrdf.lobes import Ward
 from torchbrdf.pairs import Pairs
 from torchbrdf.reading import read_npz, write_npz
-from torchbrdf.render import Camera, DirectionalLight, Environment, PointLight, Scene, blob, render, sphere
+from torchbrdf.render import Camera, DirectionalLight, Environment, PointLight, Scene, blob, sphere
 from torchbrdf.render import scene as scenes
+from torchbrdf.render.draw import render_directly
 from torchbrdf.render.transport import cache as cached
+from torchbrdf.render.transport import quadrature
 from torchbrdf.render.transport.transport import Transport
 
 LIGHTS = (DirectionalLight((1, 2, 2), 1.5), PointLight((0, 3, 3), (9.0, 8.0, 7.0)))
@@ -60,7 +62,7 @@ def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[Directiona
     """Within what bins cost, dB after tone mapping, and in all energy."""
     scene = make(48, punctual_lights=punctual_lights)
     assert scene.pairs.above_horizon.all()
-    found, expected = scene.transport @ on(scene), render([*MATERIALS.values()], scene)
+    found, expected = scene.transport @ on(scene), render_directly([*MATERIALS.values()], scene)
     for name, one, other in zip(MATERIALS, found, expected, strict=True):
         tone = ToneMap.from_images(other, scene.mask)
         quality = DIFFERENCES["psnr"]()(tone(one)[None], tone(other)[None], scene.mask).item()
@@ -71,7 +73,8 @@ def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[Directiona
 
 def test_punctual_lights_alone_have_pairs_of_their_own() -> None:
     scene = Scene(sphere(4), Camera(), size=16, punctual_lights=LIGHTS)
-    torch.testing.assert_close(scene.transport @ on(scene), render([*MATERIALS.values()], scene), rtol=1e-3, atol=1e-5)
+    expected = render_directly([*MATERIALS.values()], scene)
+    torch.testing.assert_close(scene.transport @ on(scene), expected, rtol=1e-3, atol=1e-5)
 
 
 def test_what_the_pairs_know_fits_together(lit: Scene) -> None:
@@ -121,8 +124,8 @@ def test_it_is_differentiable() -> None:
 
 def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lit.transport.in_memory  # made now, before what follows
-    monkeypatch.setattr(scenes, "LARGEST_KEPT", 0)
-    monkeypatch.setattr(scenes, "_CHUNK", 20_000)
+    monkeypatch.setattr(scenes, "memory", lambda: 0)
+    monkeypatch.setattr(quadrature, "CHUNK", 20_000)
     streamed = make(punctual_lights=LIGHTS)
     assert not streamed.transport.in_memory
     values = on(lit).requires_grad_()
@@ -154,7 +157,7 @@ def test_shapes_that_do_not_fit(small: Scene) -> None:
 def test_a_transport_is_taken_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = make(12, cache=tmp_path)
     expected = first.transport @ on(first)
-    monkeypatch.setattr(scenes, "build_transport", None)  # nothing is made
+    monkeypatch.setattr(scenes, "CompactScene", None)  # nothing is made
     again = make(12, cache=tmp_path)
     assert torch.equal(again.transport @ on(again), expected)
     assert len([*tmp_path.iterdir()]) == 1

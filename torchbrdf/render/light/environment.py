@@ -5,6 +5,7 @@ import logging
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -23,6 +24,8 @@ from torchbrdf.render.light.studio import make_studio
 RESOLUTION = 512
 _SUPERSAMPLING = 4
 _STRIP = 8
+# Levels of the averages between one and the next, of half as many texels a side.
+_BETWEEN = 4
 # A picture wider than this is averaged down first, since the map could not show more.
 _WIDEST = 4 * RESOLUTION
 # Resampling and conversion of colours leave negative values, and half floats infinite suns: how many of its values may
@@ -148,11 +151,21 @@ class Environment:
 
     @cached_property
     @undisturbed()
-    def _atlas(self) -> tuple[Tensor, Tensor]:
-        """All levels, padded, as rows of one table, and where each starts: whole numbers that float32 has exactly."""
-        levels = [padded(level).reshape(-1, 3) for level in self._pyramid]
-        starts = [sum(len(level) for level in levels[:k]) for k in range(len(levels))]
-        return torch.cat(levels), torch.tensor(starts, dtype=torch.float32, device=self.texels.device)
+    def _atlas(self) -> tuple[Tensor, Tensor, Tensor]:
+        """All levels and those between, padded, as rows of one table; where each starts, and how many texels wide it is.
+
+        Whole numbers that float32 has exactly.
+        """
+        levels = [
+            fine.lerp(_doubled(coarse), share / _BETWEEN)
+            for fine, coarse in pairwise(self._pyramid)
+            for share in range(_BETWEEN)
+        ]
+        levels.append(self._pyramid[-1])
+        tables = [padded(level).reshape(-1, 3) for level in levels]
+        numbers = [[sum(map(len, tables[:k])), len(level)] for k, level in enumerate(levels)]
+        starts, sides = torch.tensor(numbers, dtype=torch.float32, device=self.texels.device).T.contiguous()
+        return torch.cat(tables), starts, sides
 
     def _turned(self, directions: Tensor, degrees: float) -> Tensor:
         angle = math.radians(degrees)
@@ -163,33 +176,38 @@ class Environment:
     def lookup(self, directions: Tensor, solid_angle: Tensor) -> Tensor:
         """Radiance `(..., 3)` from unit vectors `(..., 3)`, averaged over about `solid_angle` `(...)` around each.
 
-        Linear within and between levels, and across the borders of the map. Below one texel's solid angle the map is
-        interpolated.
+        Linear within levels and across the borders of the map, at the nearest of four levels an octave. Below one
+        texel's solid angle the map is interpolated.
         """
+        return self.look(directions.movedim(-1, 0), solid_angle).movedim(0, -1)
+
+    def look(self, directions: Tensor, solid_angle: Tensor) -> Tensor:
+        """As `lookup`, of unit vectors `(3, ...)`: `(3, ...)`."""
         if self.rotation:
-            directions = self._turned(directions, -self.rotation)
-        finest = self.texels.shape[0]
-        level = 0.5 * torch.log2(solid_angle * (finest**2 / (4 * math.pi)))
-        level = level.clamp(0, len(self._pyramid) - 1)
-        first, second = (0.5 + 0.5 * place for place in to_square(directions))
-        table, starts = self._atlas
-        lower = level.floor()
-        upper_share = level - lower
-        places, shares = [], []
-        for depth, share in ((lower, 1 - upper_share), ((lower + 1).clamp_max(len(starts) - 1), upper_share)):
-            side = finest * torch.exp2(-depth)
-            across, down = first * side + 0.5, second * side + 0.5  # texel centres at whole numbers, behind the padding
-            left, top = across.floor(), down.floor()
-            across, down = across - left, down - top
-            corner = starts.take(depth.to(torch.int64)) + top * (side + 2) + left
-            places += [corner, corner + 1, corner + (side + 2), corner + (side + 3)]
-            under = share * down
-            over = share - under
-            right_over, right_under = over * across, under * across
-            shares += [over - right_over, right_over, under - right_under, right_under]
-        rows, weights = _stack_columns(places, torch.int32), _stack_columns(shares, torch.float32)
-        found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
-        return found.reshape(*directions.shape[:-1], 3)
+            directions = self._turned(directions.movedim(0, -1), -self.rotation).movedim(-1, 0)
+        table, starts, sides = self._atlas
+        level = torch.log2(solid_angle.expand(directions.shape[1:]) * (self.texels.shape[0] ** 2 / (4 * math.pi))).mul_(0.5 * _BETWEEN)
+        level = level.round_().clamp_(0, len(starts) - 1).to(torch.int64)
+        side = sides.take(level)
+        # Texel centres at whole numbers, behind the padding.
+        across, down = (0.5 * place.add_(1).mul_(side).add_(1) for place in to_square(directions))
+        left, top = across.floor(), down.floor()
+        across.sub_(left)
+        down.sub_(top)
+        wide = side.add_(2)
+        corner = starts.take(level).add_(top.mul_(wide)).add_(left).to(torch.int32)
+        rows = torch.empty(*corner.shape, 4, dtype=torch.int32, device=corner.device)
+        weights = torch.empty(*corner.shape, 4, dtype=across.dtype, device=corner.device)
+        rows[..., 0] = corner
+        torch.add(corner, 1, out=rows[..., 1])
+        torch.add(corner, wide.to(torch.int32), out=rows[..., 2])
+        torch.add(rows[..., 2], 1, out=rows[..., 3])
+        under = torch.mul(across, down, out=weights[..., 3])
+        torch.sub(down, under, out=weights[..., 2])
+        right = torch.sub(across, under, out=weights[..., 1])
+        torch.sub(down.neg_().add_(1), right, out=weights[..., 0])
+        found = F.embedding_bag(rows.view(-1, 4), table, per_sample_weights=weights.view(-1, 4), mode="sum")
+        return found.T.reshape(directions.shape)
 
     def light_samples(self, count: int) -> EnvironmentSamples:
         """Importance samples of the environment: at most `count` lights that together have its flux.
@@ -227,12 +245,10 @@ class Environment:
         return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
 
 
-def _stack_columns(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
-    """Parts `(...)` as columns, `(N, k)`: what torch.stack does, in half the time."""
-    whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype, device=parts[0].device)
-    for column, part in enumerate(parts):
-        whole[..., column] = part
-    return whole.reshape(-1, len(parts))
+def _doubled(texels: Tensor) -> Tensor:
+    """A map with twice as many texels along each side, linear in between."""
+    wide = F.interpolate(padded(texels).movedim(-1, 0)[None], scale_factor=2, mode="bilinear")[0].movedim(0, -1)
+    return wide[2:-2, 2:-2]
 
 
 def _halved(texels: Tensor) -> Tensor:
