@@ -5,7 +5,6 @@ import logging
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -24,8 +23,6 @@ from torchbrdf.render.light.studio import make_studio
 RESOLUTION = 512
 _SUPERSAMPLING = 4
 _STRIP = 8
-# Levels of the averages between one and the next, of half as many texels a side.
-_BETWEEN = 4
 # A picture wider than this is averaged down first, since the map could not show more.
 _WIDEST = 4 * RESOLUTION
 # Resampling and conversion of colours leave negative values, and half floats infinite suns: how many of its values may
@@ -152,18 +149,12 @@ class Environment:
     @cached_property
     @undisturbed()
     def _atlas(self) -> tuple[Tensor, Tensor, Tensor]:
-        """All levels and those between, padded, as rows of one table; where each starts, and how many texels wide it is.
+        """All levels, padded, as rows of one table; where each starts, and how many texels wide it is.
 
         Whole numbers that float32 has exactly.
         """
-        levels = [
-            fine.lerp(_doubled(coarse), share / _BETWEEN)
-            for fine, coarse in pairwise(self._pyramid)
-            for share in range(_BETWEEN)
-        ]
-        levels.append(self._pyramid[-1])
-        tables = [padded(level).reshape(-1, 3) for level in levels]
-        numbers = [[sum(map(len, tables[:k])), len(level)] for k, level in enumerate(levels)]
+        tables = [padded(level).reshape(-1, 3) for level in self._pyramid]
+        numbers = [[sum(map(len, tables[:k])), len(level)] for k, level in enumerate(self._pyramid)]
         starts, sides = torch.tensor(numbers, dtype=torch.float32, device=self.texels.device).T.contiguous()
         return torch.cat(tables), starts, sides
 
@@ -176,8 +167,8 @@ class Environment:
     def lookup(self, directions: Tensor, solid_angle: Tensor) -> Tensor:
         """Radiance `(..., 3)` from unit vectors `(..., 3)`, averaged over about `solid_angle` `(...)` around each.
 
-        Linear within levels and across the borders of the map, at the nearest of four levels an octave. Below one
-        texel's solid angle the map is interpolated.
+        Linear within and between levels, and across the borders of the map. Below one texel's solid angle the map is
+        interpolated.
         """
         return self.look(directions.movedim(-1, 0), solid_angle).movedim(0, -1)
 
@@ -186,27 +177,35 @@ class Environment:
         if self.rotation:
             directions = self._turned(directions.movedim(0, -1), -self.rotation).movedim(-1, 0)
         table, starts, sides = self._atlas
-        level = torch.log2(solid_angle.expand(directions.shape[1:]) * (self.texels.shape[0] ** 2 / (4 * math.pi))).mul_(0.5 * _BETWEEN)
-        level = level.round_().clamp_(0, len(starts) - 1).to(torch.int64)
-        side = sides.take(level)
-        # Texel centres at whole numbers, behind the padding.
-        across, down = (0.5 * place.add_(1).mul_(side).add_(1) for place in to_square(directions))
-        left, top = across.floor(), down.floor()
-        across.sub_(left)
-        down.sub_(top)
-        wide = side.add_(2)
-        corner = starts.take(level).add_(top.mul_(wide)).add_(left).to(torch.int32)
-        rows = torch.empty(*corner.shape, 4, dtype=torch.int32, device=corner.device)
-        weights = torch.empty(*corner.shape, 4, dtype=across.dtype, device=corner.device)
-        rows[..., 0] = corner
-        torch.add(corner, 1, out=rows[..., 1])
-        torch.add(corner, wide.to(torch.int32), out=rows[..., 2])
-        torch.add(rows[..., 2], 1, out=rows[..., 3])
-        under = torch.mul(across, down, out=weights[..., 3])
-        torch.sub(down, under, out=weights[..., 2])
-        right = torch.sub(across, under, out=weights[..., 1])
-        torch.sub(down.neg_().add_(1), right, out=weights[..., 0])
-        found = F.embedding_bag(rows.view(-1, 4), table, per_sample_weights=weights.view(-1, 4), mode="sum")
+        level = torch.log2(solid_angle.expand(directions.shape[1:]) * (self.texels.shape[0] ** 2 / (4 * math.pi)))
+        level = level.mul_(0.5).clamp_(0, len(starts) - 1)
+        lower = level.floor()
+        upper_share = level.sub_(lower)
+        lower = lower.to(torch.int64)
+        places = [place.add_(1).mul_(0.5) for place in to_square(directions)]
+        rows = torch.empty(*level.shape, 8, dtype=torch.int32, device=level.device)
+        weights = torch.empty(*level.shape, 8, dtype=level.dtype, device=level.device)
+        for k, share in ((0, 1 - upper_share), (4, upper_share)):
+            depth = lower if k == 0 else lower.add_(1).clamp_max_(len(starts) - 1)
+            side = sides.take(depth)
+            # Texel centres at whole numbers, behind the padding.
+            across, down = ((place * side).add_(0.5) for place in places)
+            left, top = across.floor(), down.floor()
+            across.sub_(left)
+            down.sub_(top).mul_(share)
+            wide = side.add_(2)
+            corner = starts.take(depth).add_(top.mul_(wide)).add_(left).to(torch.int32)
+            rows[..., k] = corner
+            torch.add(corner, 1, out=rows[..., k + 1])
+            corner.add_(wide.to(torch.int32))
+            rows[..., k + 2] = corner
+            torch.add(corner, 1, out=rows[..., k + 3])
+            over = share - down
+            right_over = torch.mul(over, across, out=weights[..., k + 1])
+            right_under = torch.mul(down, across, out=weights[..., k + 3])
+            torch.sub(over, right_over, out=weights[..., k])
+            torch.sub(down, right_under, out=weights[..., k + 2])
+        found = F.embedding_bag(rows.view(-1, 8), table, per_sample_weights=weights.view(-1, 8), mode="sum")
         return found.T.reshape(directions.shape)
 
     def light_samples(self, count: int) -> EnvironmentSamples:
@@ -243,12 +242,6 @@ class Environment:
         flux, _, moment = torch.cat(leaves).split([3, 1, 3], -1)
         direction = self._turned(F.normalize(moment, dim=-1), self.rotation)
         return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
-
-
-def _doubled(texels: Tensor) -> Tensor:
-    """A map with twice as many texels along each side, linear in between."""
-    wide = F.interpolate(padded(texels).movedim(-1, 0)[None], scale_factor=2, mode="bilinear")[0].movedim(0, -1)
-    return wide[2:-2, 2:-2]
 
 
 def _halved(texels: Tensor) -> Tensor:
