@@ -103,7 +103,8 @@ def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress
     bytes_each = 3 * torch.float32.itemsize * 2 * (len(compact.pairs) + compact.count)
     together = max(1, memory() // 2 // bytes_each)
     pictures = sum(_pictures(one) for one in brdfs)
-    share, found, done = sum(len(rows) for part in compact.parts for rows in part.groups), [], 0
+    share, done = sum(len(rows) for part in compact.parts for rows in part.groups), 0
+    found: list[Tensor] = []
 
     def advance(rows: int) -> None:
         nonlocal done
@@ -111,19 +112,18 @@ def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress
         if progress is not None:
             progress(done, 2 * pictures * share)
 
-    def product(values: list[Tensor]) -> None:
-        for some in torch.cat(values).split(together):
-            found.append(scene.picture(compact.pixels(some, lambda rows: advance(rows * len(some)))))
+    def drawn(values: Tensor) -> Tensor:
+        return scene.picture(compact.pixels(values, lambda rows: advance(rows * len(values))))
 
     waiting: list[Tensor] = []
     for values in thread_map(partial(_values, compact.pairs), shaders):
         waiting.append(values)
         advance(len(values) * share)
         if sum(map(len, waiting)) >= together:
-            product(waiting)
+            found += map(drawn, torch.cat(waiting).split(together))
             waiting = []
     if waiting:
-        product(waiting)
+        found += map(drawn, torch.cat(waiting).split(together))
     return torch.cat(found)
 
 

@@ -11,9 +11,9 @@ from torch import Tensor
 from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
-from torchbrdf.render.memory import memory
 from torchbrdf.render.light.environment import Environment
 from torchbrdf.render.light.punctual import PunctualLight
+from torchbrdf.render.memory import memory
 from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh, blob
 from torchbrdf.render.raster.pixels import rasterize_pixels

@@ -57,8 +57,8 @@ def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequenc
             for c, picture in enumerate(pictures):
                 with Image.open(picture) as image:
                     small = np.asarray(image.convert("RGB").resize((side, side), Image.Resampling.LANCZOS))
-                place = (round(DPI * (left + cell * c)), round(DPI * bottom))
-                figure.figimage(small, *place, origin="upper")
+                corner = round(DPI * (left + cell * c)), round(DPI * bottom)
+                figure.figimage(small, *corner, origin="upper")
         for c, name in enumerate(materials):
             place = ((left + cell * c + cell / 2) / width, (cell * len(rows) + 0.03) / height)
             figure.text(*place, name, fontsize=8, ha="center", va="bottom")

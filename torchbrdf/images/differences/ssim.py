@@ -34,8 +34,8 @@ class SSIM(Difference):
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of kornia's map."""
         # kornia has a way of its own, two and a half times as fast, for pictures that lie in memory as it expects them.
-        planes = (channels_first(one).contiguous() for one in (image, reference))
-        similarity = metrics.ssim(*planes, window_size=_WINDOW, eps=0.0)
+        first, second = (channels_first(one).contiguous() for one in (image, reference))
+        similarity = metrics.ssim(first, second, window_size=_WINDOW, eps=0.0)
         return masked_mean(similarity.mean(1), mask)
 
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:

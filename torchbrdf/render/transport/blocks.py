@@ -9,7 +9,6 @@ import torch.nn.functional as F
 from scipy import sparse
 from torch import Tensor
 
-
 # What is added to an int16 to make all of its values columns.
 _HALF_WAY = 2**15
 

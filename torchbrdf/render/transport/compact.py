@@ -47,48 +47,49 @@ class CompactScene:
         return [sum(len(part.pairs) for part in self.parts[:k]) for k in range(len(self.parts))]
 
     @torch.no_grad()
-    def pixels(self, values: Tensor, advance: Callable[[int], None] | None = None) -> Tensor:
-        """The pixels of values on the pairs, `(M, N, 3)` to `(M, P, 3)`; `advance` is told the rows of parts done."""
+    def pixels(self, values: Tensor, advance: Callable[[int], None] = lambda rows: None) -> Tensor:
+        """The pixels of values on the pairs, `(M, N, 3)` to `(M, P, 3)`; `advance` is told how many rows are done."""
         found = values.new_zeros(3, self.count, len(values))
-        part_found = torch.empty_like(found)
         kept: list[list[Entries]] = []
         used = 0
         for k, (part, first) in enumerate(zip(self.parts, self.firsts, strict=True)):
-            own = values[:, first : first + len(part.pairs)]
-            tables = [
-                [some[..., channel].T.contiguous() for channel in range(3)] for some in own.split(_AT_ONCE)
-            ]
-
-            def work(
-                jobs: Sequence[tuple[int, Tensor | Entries]],
-                part: Compact = part,
-                tables: list[list[Tensor]] = tables,
-            ) -> list[Entries]:
-                blocks = []
-                for first, item in jobs:
-                    block = part.block(item).packed(len(part.pairs)) if isinstance(item, Tensor) else item
-                    for at, some in enumerate(tables):
-                        for channel, product in enumerate(block.products(some)):
-                            place = slice(at * _AT_ONCE, at * _AT_ONCE + product.shape[1])
-                            part_found[channel, first : first + len(product), place] = product
-                    blocks.append(block)
-                return blocks
-
-            kept.append([])
-            starts = [0, *accumulate(map(len, part.groups))]
-            jobs = list(zip(starts, self._kept[k] if self._kept else part.groups, strict=False))
-            for blocks in thread_map(work, [jobs[n : n + _JOBS] for n in range(0, len(jobs), _JOBS)]):
-                used += sum(block.nbytes for block in blocks)
+            items = part.groups if self._kept is None else self._kept[k]
+            blocks: list[Entries] = []
+            for block in self._products(part, items, values[:, first : first + len(part.pairs)], found):
+                used += block.nbytes
+                blocks.append(block)
                 if used > self.room:
-                    kept = [[] for _ in kept]
-                else:
-                    kept[-1] += blocks
-                if advance is not None:
-                    advance(sum(len(block.rows) for block in blocks))
-            if part.groups:
-                found += part_found.index_select(1, torch.cat(part.groups).argsort())
+                    blocks.clear()
+                    kept.clear()
+                advance(len(block.rows))
+            kept.append(blocks)
         self._kept = kept if used <= self.room else None
         return found.permute(2, 1, 0)
+
+    def _products(
+        self, part: Compact, items: Sequence[Tensor | Entries], values: Tensor, found: Tensor
+    ) -> Iterator[Entries]:
+        """Add what one quadrature makes of values `(M, n, 3)` to pixels `(3, P, M)`; its blocks."""
+        tables = [[some[..., channel].T.contiguous() for channel in range(3)] for some in values.split(_AT_ONCE)]
+        own = torch.empty_like(found)  # in the order of the groups, so that each has a place of its own
+        starts = [0, *accumulate(map(len, part.groups))]
+
+        def work(jobs: Sequence[tuple[int, Tensor | Entries]]) -> list[Entries]:
+            blocks = []
+            for first, item in jobs:
+                block = part.block(item).packed(len(part.pairs)) if isinstance(item, Tensor) else item
+                for at, some in enumerate(tables):
+                    for channel, product in enumerate(block.products(some)):
+                        columns = slice(at * _AT_ONCE, at * _AT_ONCE + product.shape[1])
+                        own[channel, first : first + len(product), columns] = product
+                blocks.append(block)
+            return blocks
+
+        jobs = list(zip(starts, items, strict=False))
+        for blocks in thread_map(work, [jobs[n : n + _JOBS] for n in range(0, len(jobs), _JOBS)]):
+            yield from blocks
+        if part.groups:
+            found += own.index_select(1, torch.cat(part.groups).argsort())
 
     def forget(self) -> None:
         """Give the memory of kept entries back."""
@@ -104,6 +105,7 @@ class CompactScene:
         """The same as one block a part, of all rows in their order."""
         found = []
         for part, first in zip(self.parts, self.firsts, strict=True):
+
             def work(rows: Tensor, part: Compact = part, first: int = first) -> Block:
                 return part.block(rows).compressed(first)
 
