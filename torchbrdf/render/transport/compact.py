@@ -14,7 +14,7 @@ from torchbrdf.render.transport.quadrature import Compact, Quadrature
 
 # What is known of the pairs.
 KNOWN = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
-# Columns of a product at a time: more of them no longer fit the processor's cache.
+# Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
 _AT_ONCE = 32
 # Groups of pixels that a thread takes at a time.
 _JOBS = 4

@@ -10,8 +10,8 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError
 from torchbrdf.render.transport.blocks import Block
 
-# Columns of a product at a time: more of them no longer fit the processor's cache.
-_AT_ONCE = 8
+# Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
+_AT_ONCE = 32
 
 
 class Transport:
