@@ -28,6 +28,8 @@ VARIABLE = "TORCHBRDF_PROCESSES"
 # CPU seconds of work, done and foreseen, above which processes are started. Two threads take a third more of it than
 # two processes, and a process takes 2.5 s to import torch and torchbrdf: so much work pays for two of them.
 WORTH = 15.0
+# Items that wait for a thread: more would only have to be looked through each time that one is done.
+AHEAD = 16
 THREADS = "torchbrdf: working in threads, as processes cannot be given the work: %s"
 
 logger = logging.getLogger("torchbrdf")
@@ -42,8 +44,7 @@ def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
     have them wait for each other at its end, which is slower for small operations, and many times slower on a machine
     that has something else to do. Who stops listening, by Ctrl-C too, stops the threads where they are.
     """
-    items = list(items)
-    yield from _in_threads(function, items, len(items))
+    yield from _in_threads(function, items, AHEAD)
 
 
 def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result | Lost]:

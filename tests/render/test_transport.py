@@ -15,12 +15,15 @@ from torch import Tensor
 from torchbrdf import memory
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.images import DIFFERENCES, ToneMap
-from torchbrdf.lobes import Ward
+from torchbrdf.lobes import Lambert, Ward
+from torchbrdf.measured import load, merl_values, write_merl
 from torchbrdf.pairs import Pairs
 from torchbrdf.reading import read_npz, write_npz
 from torchbrdf.render import Camera, DirectionalLight, Environment, PointLight, Scene, blob, render, sphere
 from torchbrdf.render import scene as scenes
+from torchbrdf.render.draw import render_by_transport, render_directly
 from torchbrdf.render.transport import cache as cached
+from torchbrdf.render.transport import quadrature
 from torchbrdf.render.transport.transport import Transport
 
 LIGHTS = (DirectionalLight((1, 2, 2), 1.5), PointLight((0, 3, 3), (9.0, 8.0, 7.0)))
@@ -61,7 +64,7 @@ def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[Directiona
     """Within what bins cost, dB after tone mapping, and in all energy."""
     scene = make(48, punctual_lights=punctual_lights)
     assert scene.pairs.above_horizon.all()
-    found, expected = scene.transport @ on(scene), render([*MATERIALS.values()], scene)
+    found, expected = scene.transport @ on(scene), render_directly([*MATERIALS.values()], scene)
     for name, one, other in zip(MATERIALS, found, expected, strict=True):
         tone = ToneMap.from_images(other, scene.mask)
         quality = DIFFERENCES["psnr"]()(tone(one)[None], tone(other)[None], scene.mask).item()
@@ -72,7 +75,8 @@ def test_the_picture_is_that_of_the_quadrature(punctual_lights: tuple[Directiona
 
 def test_punctual_lights_alone_have_pairs_of_their_own() -> None:
     scene = Scene(sphere(4), Camera(), size=16, punctual_lights=LIGHTS)
-    torch.testing.assert_close(scene.transport @ on(scene), render([*MATERIALS.values()], scene), rtol=1e-3, atol=1e-5)
+    expected = render_directly([*MATERIALS.values()], scene)
+    torch.testing.assert_close(scene.transport @ on(scene), expected, rtol=1e-3, atol=1e-5)
 
 
 def test_what_the_pairs_know_fits_together(lit: Scene) -> None:
@@ -123,7 +127,7 @@ def test_it_is_differentiable() -> None:
 def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lit.transport.in_memory  # made now, before what follows
     monkeypatch.setattr(memory, "limit", lambda: 0)
-    monkeypatch.setattr(scenes, "_CHUNK", 20_000)
+    monkeypatch.setattr(quadrature, "CHUNK", 20_000)
     streamed = make(punctual_lights=LIGHTS)
     assert not streamed.transport.in_memory
     values = on(lit).requires_grad_()
@@ -136,6 +140,81 @@ def test_too_large_a_transport_is_made_anew_for_each_product(lit: Scene, monkeyp
     (thin, kept), (other, same) = (one.transport.select_rows(rows) for one in (streamed, lit))
     assert torch.equal(kept, same)
     torch.testing.assert_close(thin @ values[:, kept], other @ values[:, kept])
+
+
+# --- many pictures ----------------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_the_same_whether_entries_are_kept_or_not() -> None:
+    """And as the matrix has them, but for the rounding of weights to half precision."""
+    kept, streamed = make(punctual_lights=LIGHTS).compact, make(punctual_lights=LIGHTS).compact
+    streamed.room = 0
+    values = on(make(punctual_lights=LIGHTS))
+    first = kept.pixels(values)
+    assert kept._kept is not None and torch.equal(kept.pixels(values), first)
+    kept.forget()
+    assert torch.equal(kept.pixels(values), first)
+    assert torch.equal(streamed.pixels(values), first) and streamed._kept is None
+    single = torch.cat([streamed.pixels(one[None]) for one in values])
+    torch.testing.assert_close(single, first, rtol=1e-5, atol=1e-6)
+    exact = make(punctual_lights=LIGHTS).transport.pixels(values)
+    torch.testing.assert_close(first, exact, rtol=1e-3, atol=1e-4)
+    assert ((first - exact).square().mean() / exact.square().mean()).log10() < -8  # 80 dB
+
+
+def test_entries_take_no_more_room_than_they_may() -> None:
+    compact = make(16).compact
+    values = torch.rand(1, len(compact.pairs), 3)
+    compact.pixels(values)
+    assert compact._kept is not None
+    taken = sum(block.nbytes for blocks in compact._kept for block in blocks)
+    compact.forget()
+    compact.room = taken - 1
+    compact.pixels(values)
+    assert compact._kept is None
+
+
+@pytest.mark.parametrize("asked", [8192, 64])
+def test_few_pixels_say_where_pairs_are(asked: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sharp lobes included, 45 dB from every pair by itself; of 64 pixels, too, which fill half of the bins."""
+    monkeypatch.setattr(quadrature, "_ASKED", asked)
+    scene = make(48)
+    found = render_by_transport([*MATERIALS.values()], scene)
+    for name, one, other in zip(MATERIALS, found, render_directly([*MATERIALS.values()], scene), strict=True):
+        tone = ToneMap.from_images(other, scene.mask)
+        assert DIFFERENCES["psnr"]()(tone(one)[None], tone(other)[None], scene.mask).item() > 45, name
+
+
+def test_the_coordinates_of_bins_are_those_of_their_pairs(small: Scene) -> None:
+    lights = small._quadratures[1]
+    assert isinstance(lights, quadrature.LightQuadrature)
+    rows = torch.arange(0, len(small._pixels), 7)
+    places, counted, _ = lights._places(rows)
+    pairs, weight = lights.samples(rows)
+    heavy = counted.flatten() > 1e-3
+    assert heavy.sum() > 1000
+    torch.testing.assert_close(weight.sum(-1).flatten() > 0, counted.flatten() > 0)
+    found = quadrature._pairs_at(torch.stack([place.flatten() for place in places]).double())
+    for name in ("theta_h", "theta_d", "phi_d"):
+        away = (getattr(found, name)[0] - getattr(pairs, name)[0].double())[heavy]
+        assert (away.sin() if name == "phi_d" else away).abs().max() < 2e-3, name
+
+
+def test_a_table_is_drawn_by_a_transport_and_what_follows_in_its_scene_too(tmp_path: Path) -> None:
+    path, ward = tmp_path / "ward.binary", Ward(roughness=0.2)
+    write_merl(path, merl_values(ward).clamp(0))
+    scene = make()
+    assert torch.equal(render(ward, scene), render_directly([ward], scene)) and not scene.is_compact
+    table = render(load(path), scene)
+    assert scene.is_compact and torch.equal(table, render_by_transport([load(path)], scene))
+    assert torch.equal(render(ward, scene), render_by_transport([ward], scene))
+    plain = Lambert(albedo=0.5), lambda pairs: Lambert(albedo=0.5)(pairs)[0]
+    assert torch.equal(render(list(plain), scene)[0], render_directly(plain[:1], scene)[0])
+
+
+def test_memory_is_limited() -> None:
+    with memory.limited(0.125):
+        assert make(8).compact.room == 2**26
 
 
 def test_shapes_that_do_not_fit(small: Scene) -> None:
@@ -155,7 +234,7 @@ def test_shapes_that_do_not_fit(small: Scene) -> None:
 def test_a_transport_is_taken_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = make(12, cache=tmp_path)
     expected = first.transport @ on(first)
-    monkeypatch.setattr(scenes, "build_transport", None)  # nothing is made
+    monkeypatch.setattr(scenes, "CompactScene", None)  # nothing is made
     again = make(12, cache=tmp_path)
     assert torch.equal(again.transport @ on(again), expected)
     assert len([*tmp_path.iterdir()]) == 1

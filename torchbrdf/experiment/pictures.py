@@ -83,8 +83,7 @@ class Pictures:
             fitted = [self.grid.picture(record) for record in self.grid.drawn] if fits else []
             linears = self._read(name, names + fitted)
             self.tones[name] = ToneMap.from_images(linears, scene.mask.expand(linears.shape[:-1]))
-            for one, linear in zip(names, linears, strict=False):
-                write_png(self.path(one, name), composite(self.tones[name](linear), scene.coverage))
+            self._show(name, scene, dict(zip(names, linears, strict=False)))
         record = {name: tone.to_dict() for name, tone in self.tones.items()}
         write_json(self.grid.folder.path / "tonemap.json", record.get(ONLY, record))
 
@@ -92,8 +91,8 @@ class Pictures:
         """Draw the materials in another view, named with `part` behind, under the tone map of the scene `like`."""
         jobs = self._references(part)
         self._draw(like, scene, jobs)
-        for name in (name for _, names in jobs for name in names):
-            write_png(self.path(name, like), composite(self.tones[like](self._read(like, [name])[0]), scene.coverage))
+        names = [name for _, names in jobs for name in names]
+        self._show(like, scene, dict(zip(names, self._read(like, names), strict=True)))
 
     def compare(self) -> None:
         """Show the fits, and put their image differences into the records: `pictures[scene]`, or `differences`."""
@@ -131,18 +130,28 @@ class Pictures:
         for some in _parts(jobs):
             names = [one for _, own in some for one in own]
             pictures = self._render([brdf for brdf, _ in some], scene, _share_of(progress, done, len(names), total))
-            for one, linear in zip(names, pictures, strict=True):
-                write_exr(self.path(one, name, ".exr"), linear)
+            paths = [self.path(one, name, ".exr") for one in names]
+            for _ in thread_map(lambda job: write_exr(*job), list(zip(paths, pictures, strict=True))):
+                pass
             done += len(names)
             progress(done, total)
             folder.log(f"{f'{name}: ' if name else ''}{len(names)} renders: {names[0]} to {names[-1]}")
+
+    def _show(self, name: str, scene: Scene, linears: Mapping[str, Tensor]) -> None:
+        """Write PNGs of linear pictures."""
+
+        def write(one: str) -> None:
+            write_png(self.path(one, name), composite(self.tones[name](linears[one]), scene.coverage))
+
+        for _ in thread_map(write, linears):
+            pass
 
     def _compare(
         self, name: str, scene: Scene, references: Mapping[str, Tensor], record: FitRecord
     ) -> dict[str, float]:
         """Write the PNG of a fit; its image differences by name."""
         fit = self.grid.picture(record)
-        linear = torch.stack([self._read(name, [fit])[0], references[record.material]])
+        linear = torch.stack([read_image(self.path(fit, name, ".exr")), references[record.material]])
         shown = self.tones[name](linear)
         write_png(self.path(fit, name), composite(shown[0], scene.coverage))
         if self.maps:
@@ -155,7 +164,7 @@ class Pictures:
         return found
 
     def _read(self, scene: str, names: Sequence[str]) -> Tensor:
-        return torch.stack([read_image(self.path(name, scene, ".exr")) for name in names])
+        return torch.stack(list(thread_map(read_image, [self.path(name, scene, ".exr") for name in names])))
 
 
 def _parts(jobs: Sequence[tuple[Brdf, list[str]]]) -> Iterator[list[tuple[Brdf, list[str]]]]:

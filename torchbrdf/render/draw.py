@@ -1,6 +1,6 @@
 """From a BRDF and a scene to a picture."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import zip_longest
 
@@ -14,12 +14,13 @@ from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_mat
 from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
+from torchbrdf.precision import undisturbed
 from torchbrdf.progress import Progress
 from torchbrdf.render.scene import Chunk, Scene
 
 # Measured tables that are open at once.
 _TABLES = 12
-# Pictures from which on a transport is worth its making.
+# Pictures of lobes from which on a transport is worth its making; of tables, one is.
 SEVERAL = 4
 # Pairs on which light and viewer change places, and the mean relative difference that is none.
 _TRIED, _NONRECIPROCAL = 256, 1e-3
@@ -35,8 +36,9 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
 
     Args:
         brdf: A Lobe (batched or not), a Measured, or anything that gives values in 1/sr, `(m, N, 3)` or `(N, 3)`, on
-            Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once; from
-            four pictures of lobes and materials on by the scene's transport, where these are reciprocal.
+            Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once. Where
+            BRDFs are reciprocal, it is by the scene's transport: measured tables, four and more pictures, and all
+            further ones of a scene that was drawn so.
         scene: What is drawn.
         progress: Is called with what is done and what there is to do as the work goes on.
 
@@ -56,14 +58,18 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     if not brdfs:
         raise UsageError("render: expected at least one BRDF, found none")
     known = [one for one in brdfs if isinstance(one, Lobe | Measured)]
-    if len(known) == len(brdfs) and worth_a_transport(known, sum(map(_pictures, known))):
+    if len(known) == len(brdfs) and worth_a_transport(known, sum(map(_pictures, known)), scene.is_compact):
         return render_by_transport(known, scene, progress)
     return render_directly(brdfs, scene, progress)
 
 
-def worth_a_transport(brdfs: Iterable[Lobe | Measured], pictures: int) -> bool:
-    """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be."""
-    return pictures >= SEVERAL and all(map(is_reciprocal, brdfs))
+def worth_a_transport(brdfs: Sequence[Lobe | Measured], pictures: int, is_there: bool = False) -> bool:
+    """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be.
+
+    One that is there is quicker, and so are tables: a pair costs more to look up in one than to find its bin.
+    """
+    tables = any(isinstance(one, Measured) and not one.stand_in for one in brdfs)
+    return (pictures >= SEVERAL or tables or is_there) and all(map(is_reciprocal, brdfs))
 
 
 def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
@@ -89,33 +95,35 @@ def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | No
 
 
 @torch.no_grad()
+@undisturbed()
 def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress: Progress | None = None) -> Tensor:
     """As `render`: every BRDF evaluated on the scene's compact pairs, and one sparse product for many pictures."""
     shaders = [shader for one in brdfs for run in _shaders(one) for shader in run]
-    bytes_each = 3 * torch.float32.itemsize * (2 * len(scene.pairs) + len(scene.transport.index))
+    compact = scene.compact
+    bytes_each = 3 * torch.float32.itemsize * 2 * (len(compact.pairs) + compact.count)
     together = max(1, memory.limit() // 2 // bytes_each)
-    found, done, total = [], 0, 2 * sum(_pictures(one) for one in brdfs)
+    pictures = sum(_pictures(one) for one in brdfs)
+    share, done = sum(len(rows) for part in compact.parts for rows in part.groups), 0
+    found: list[Tensor] = []
 
-    def advance(count: int) -> None:
+    def advance(rows: int) -> None:
         nonlocal done
-        done += count
+        done += rows
         if progress is not None:
-            progress(done, total)
+            progress(done, 2 * pictures * share)
 
-    def product(values: list[Tensor]) -> None:
-        for some in torch.cat(values).split(together):
-            found.append(scene.transport @ some)
-            advance(len(some))
+    def drawn(values: Tensor) -> Tensor:
+        return scene.picture(compact.pixels(values, lambda rows: advance(rows * len(values))))
 
     waiting: list[Tensor] = []
-    for values in thread_map(partial(_values, scene.pairs), shaders):
+    for values in thread_map(partial(_values, compact.pairs), shaders):
         waiting.append(values)
-        advance(len(values))
+        advance(len(values) * share)
         if sum(map(len, waiting)) >= together:
-            product(waiting)
+            found += map(drawn, torch.cat(waiting).split(together))
             waiting = []
     if waiting:
-        product(waiting)
+        found += map(drawn, torch.cat(waiting).split(together))
     return torch.cat(found)
 
 

@@ -1,6 +1,6 @@
 """A scene is pairs of directions for every pixel, and how much each counts; a picture is their weighted sum."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,18 +17,24 @@ from torchbrdf.render.light.punctual import PunctualLight
 from torchbrdf.render.raster.camera import Camera
 from torchbrdf.render.raster.mesh import Mesh, blob
 from torchbrdf.render.raster.pixels import rasterize_pixels
+from torchbrdf.render.transport.blocks import Block
 from torchbrdf.render.transport.cache import digest, load_or_build
-from torchbrdf.render.transport.quadrature import HalfVectorQuadrature, LightQuadrature, PunctualQuadrature, Quadrature
-from torchbrdf.render.transport.transport import Block, Transport, build_transport, merge_blocks
+from torchbrdf.render.transport.compact import CompactScene
+from torchbrdf.render.transport.quadrature import (
+    CHUNK,
+    HalfVectorQuadrature,
+    LightQuadrature,
+    PunctualQuadrature,
+    Quadrature,
+)
+from torchbrdf.render.transport.transport import Transport, in_places
 
 if TYPE_CHECKING:
     from torchbrdf.render.transport.shadows import Occluder
 
 Chunk = tuple[Tensor, Pairs, Tensor]
 
-# Pairs at a time: their quantities then stay in a processor's cache.
-_CHUNK = 65536
-# A transport whose entries could take more than half of `memory.limit()` is not kept, but made anew for each product.
+# Of an entry of a transport, which is not kept if it could take more than half of the memory.
 _BYTES_PER_ENTRY = 16
 
 
@@ -133,24 +139,33 @@ class Scene:
     @property
     def _jobs(self) -> list[tuple[Quadrature, Tensor]]:
         whole = torch.arange(len(self._pixels), dtype=torch.int64, device="cpu")
-        return [(part, rows) for part in self._quadratures for rows in whole.split(max(_CHUNK // part.length, 1))]
+        return [(part, rows) for part in self._quadratures for rows in whole.split(max(CHUNK // part.length, 1))]
+
+    @property
+    def is_compact(self) -> bool:
+        """Whether pairs have been taken for one already."""
+        return "compact" in vars(self)
+
+    def picture(self, pixels: Tensor) -> Tensor:
+        """`(M, P, 3)` of the pixels that show something in their places, `(M, size, size, 3)`."""
+        return in_places(pixels, self._pixels.index, self.size)
 
     @cached_property
     @undisturbed()
-    def _built(self) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
-        return build_transport(self._jobs, self._quadratures)
+    def compact(self) -> CompactScene:
+        """The quadratures on the compact pairs: what draws many pictures, without gradients."""
+        return CompactScene(self._quadratures, len(self._pixels), memory.limit() // 2)
 
     @cached_property
     @undisturbed()
     def _whole(self) -> tuple[Pairs, Transport]:
         index = self._pixels.index
         if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > memory.limit() // 2:
-            pairs, make = self._built
-            return pairs, Transport(len(pairs), index, self.size, make)
+            pairs = self.compact.pairs
+            return pairs, Transport(len(pairs), index, self.size, self.compact.blocks)
 
         def build() -> tuple[Pairs, list[Block]]:
-            pairs, make = self._built
-            return pairs, merge_blocks(make(), self._jobs, self._quadratures)
+            return self.compact.pairs, self.compact.merged()
 
         if self.cache is None:
             pairs, blocks = build()
@@ -187,7 +202,7 @@ class Scene:
 
         BRDFs are taken for reciprocal, as MERL's tables are: pairs that only exchange light and viewer are one, too.
         """
-        return self._whole[0]
+        return self._whole[0] if self.cache else self.compact.pairs
 
     @property
     def transport(self) -> Transport:

@@ -11,7 +11,9 @@ from torchbrdf.errors import UsageError
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
 from torchbrdf.render.scene import Scene
-from torchbrdf.render.transport.transport import KNOWN, Block, Transport
+from torchbrdf.render.transport.blocks import Block
+from torchbrdf.render.transport.compact import KNOWN
+from torchbrdf.render.transport.transport import Transport
 
 
 class SideBySide:

@@ -34,5 +34,5 @@ def embed_webp(path: Path) -> str:
     """A picture as a data URI of WebP, so that a page with hundreds of them has a few megabytes."""
     data = io.BytesIO()
     with Image.open(path) as image:
-        image.save(data, format="WEBP", quality=90)
+        image.save(data, format="WEBP", quality=90, method=2)  # half the time of Pillow's own, 4, for 5 % more bytes
     return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()

@@ -5,10 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import torch
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from PIL import Image
 
 from torchbrdf.experiment.grid import FitGrid
 from torchbrdf.experiment.labels import caveat, difference_label, loss_label, model_label
@@ -17,7 +16,7 @@ from torchbrdf.lobes import FitRecord, model_of
 from torchbrdf.measured import Measured, Plausibility
 from torchbrdf.pairs import Pairs
 from torchbrdf.report.meaning import mark_shares
-from torchbrdf.report.style import COLORS, new_figure, plain_ticks
+from torchbrdf.report.style import COLORS, DPI, new_figure, plain_ticks
 
 INCIDENT = (15.0, 30.0, 45.0, 60.0)
 # More names in a legend than these nobody reads.
@@ -45,16 +44,24 @@ def gloss_figure(
 
 def grid_figure(path: Path, materials: Sequence[str], rows: Mapping[str, Sequence[Path]], stand_in: bool) -> None:
     """Figure 3: a row of pictures for the reference and for each metric, a column for each material."""
-    layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0, hspace=0)
-    with new_figure(path, 1.55 * len(materials) + 0.4, 1.6 * len(rows) + 0.5, caveat(stand_in), layout) as figure:
-        panels = np.atleast_2d(figure.subplots(len(rows), len(materials), squeeze=False))
-        for line, (label, pictures) in zip(panels, rows.items(), strict=True):
-            for panel, picture in zip(line, pictures, strict=True):
-                panel.imshow(matplotlib.image.imread(picture))
-                panel.set(xticks=[], yticks=[], frame_on=False)
-            line[0].set_ylabel(label)
-        for panel, name in zip(panels[0], materials, strict=True):
-            panel.set_title(name, fontsize=8)
+    # Pictures go where they are to be, pixel by pixel: as many panels would take seconds to be laid out.
+    side, cell, left = round(1.5 * DPI), 1.55, 0.4
+    head = 0.15 + 0.15 * max(1 + name.count("\n") for name in materials) + (0.2 if stand_in else 0)
+    width, height = left + cell * len(materials), head + cell * len(rows)
+    with new_figure(path, width, height, caveat(stand_in), layout=None) as figure:
+        for r, (label, pictures) in enumerate(rows.items()):
+            bottom = cell * (len(rows) - 1 - r)
+            figure.text(
+                left / 2 / width, (bottom + cell / 2) / height, label, rotation=90, ha="center", va="center"
+            )  # fmt: skip
+            for c, picture in enumerate(pictures):
+                with Image.open(picture) as image:
+                    small = np.asarray(image.convert("RGB").resize((side, side), Image.Resampling.LANCZOS))
+                corner = round(DPI * (left + cell * c)), round(DPI * bottom)
+                figure.figimage(small, *corner, origin="upper")
+        for c, name in enumerate(materials):
+            place = ((left + cell * c + cell / 2) / width, (cell * len(rows) + 0.03) / height)
+            figure.text(*place, name, fontsize=8, ha="center", va="bottom")
 
 
 def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) -> None:
@@ -65,8 +72,10 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
     """
     material = group.batch([group.names.index(records[0].material)])
     model = model_of(list(records), torch.float32)
-    with new_figure(path, 11, 2.6, caveat(group.stand_in)) as figure:
-        panels = figure.subplots(1, len(INCIDENT) + 1)
+    with new_figure(path, 11, 2.6, caveat(group.stand_in), layout=None) as figure:
+        # Laid out by hand: a layout that is constrained draws everything twice, and there are many of these.
+        margins = {"left": 0.05, "right": 0.985, "bottom": 0.19, "top": 0.82 if group.stand_in else 0.89}
+        panels = figure.subplots(1, len(INCIDENT) + 1, gridspec_kw={**margins, "wspace": 0.22})
         for panel, incident in zip(panels, INCIDENT, strict=False):
             off = np.concatenate([-np.geomspace(150, 0.02, 150), np.geomspace(0.02, 80, 100)])
             outgoing = incident + off
@@ -76,7 +85,7 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
             panel.axvline(incident, color="grey", lw=0.5, ls=":")
         off = np.geomspace(0.05, 90, 200)
         _curves(panels[-1], material, model, records, 30.0, 30.0 - off, off)
-        panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror direction", xscale="log")
+        panels[-1].set(title="light at 30°, magnified", xlabel="degrees off the mirror", xscale="log")
         plain_ticks(panels[-1].xaxis)
         panels[0].set_ylabel("cube root of f (green)")
         panels[-1].legend(fontsize=7, frameon=False)

@@ -21,6 +21,8 @@ COLORS = {
 }  # fmt: skip
 # Of a mark, to an inch.
 LETTERS = 16
+# Pixels of a figure to an inch.
+DPI = 110
 _STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -43,13 +45,13 @@ def new_figure(
     """
     with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
-        figure = Figure(figsize=(width, height), layout=layout)
+        figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)
         yield figure
         if mark:
             lines = textwrap.fill(mark, int(width * LETTERS))
             figure.suptitle(lines, fontsize=8, color="#9c3d00", x=0.99, ha="right")
         data = io.BytesIO()  # the errors of a full disk are those of a file, not of a library
-        figure.savefig(data, dpi=110, format="png")
+        figure.savefig(data, dpi=DPI, format="png")
         write_bytes(path, data.getvalue())
 
 

@@ -33,7 +33,9 @@ class SSIM(Difference):
 
     def compare(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
         """The mean of kornia's map."""
-        similarity = metrics.ssim(channels_first(image), channels_first(reference), window_size=_WINDOW, eps=0.0)
+        # kornia has a way of its own, two and a half times as fast, for pictures that lie in memory as it expects them.
+        first, second = (channels_first(one).contiguous() for one in (image, reference))
+        similarity = metrics.ssim(first, second, window_size=_WINDOW, eps=0.0)
         return masked_mean(similarity.mean(1), mask)
 
     def objective(self, image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:

@@ -148,11 +148,15 @@ class Environment:
 
     @cached_property
     @undisturbed()
-    def _atlas(self) -> tuple[Tensor, Tensor]:
-        """All levels, padded, as rows of one table, and where each starts: whole numbers that float32 has exactly."""
-        levels = [padded(level).reshape(-1, 3) for level in self._pyramid]
-        starts = [sum(len(level) for level in levels[:k]) for k in range(len(levels))]
-        return torch.cat(levels), torch.tensor(starts, dtype=torch.float32, device=self.texels.device)
+    def _atlas(self) -> tuple[Tensor, Tensor, Tensor]:
+        """All levels, padded, as rows of one table; where each starts, and how many texels wide it is.
+
+        Whole numbers that float32 has exactly.
+        """
+        tables = [padded(level).reshape(-1, 3) for level in self._pyramid]
+        numbers = [[sum(map(len, tables[:k])), len(level)] for k, level in enumerate(self._pyramid)]
+        starts, sides = torch.tensor(numbers, dtype=torch.float32, device=self.texels.device).T.contiguous()
+        return torch.cat(tables), starts, sides
 
     def _turned(self, directions: Tensor, degrees: float) -> Tensor:
         angle = math.radians(degrees)
@@ -166,30 +170,43 @@ class Environment:
         Linear within and between levels, and across the borders of the map. Below one texel's solid angle the map is
         interpolated.
         """
+        return self.look(directions.movedim(-1, 0), solid_angle).movedim(0, -1)
+
+    def look(self, directions: Tensor, solid_angle: Tensor) -> Tensor:
+        """As `lookup`, of unit vectors `(3, ...)`: `(3, ...)`."""
         if self.rotation:
-            directions = self._turned(directions, -self.rotation)
-        finest = self.texels.shape[0]
-        level = 0.5 * torch.log2(solid_angle * (finest**2 / (4 * math.pi)))
-        level = level.clamp(0, len(self._pyramid) - 1)
-        first, second = (0.5 + 0.5 * place for place in to_square(directions))
-        table, starts = self._atlas
+            directions = self._turned(directions.movedim(0, -1), -self.rotation).movedim(-1, 0)
+        table, starts, sides = self._atlas
+        level = torch.log2(solid_angle.expand(directions.shape[1:]) * (self.texels.shape[0] ** 2 / (4 * math.pi)))
+        level = level.mul_(0.5).clamp_(0, len(starts) - 1)
         lower = level.floor()
-        upper_share = level - lower
-        places, shares = [], []
-        for depth, share in ((lower, 1 - upper_share), ((lower + 1).clamp_max(len(starts) - 1), upper_share)):
-            side = finest * torch.exp2(-depth)
-            across, down = first * side + 0.5, second * side + 0.5  # texel centres at whole numbers, behind the padding
+        upper_share = level.sub_(lower)
+        lower = lower.to(torch.int64)
+        places = [place.add_(1).mul_(0.5) for place in to_square(directions)]
+        rows = torch.empty(*level.shape, 8, dtype=torch.int32, device=level.device)
+        weights = torch.empty(*level.shape, 8, dtype=level.dtype, device=level.device)
+        for k, share in ((0, 1 - upper_share), (4, upper_share)):
+            depth = lower if k == 0 else lower.add_(1).clamp_max_(len(starts) - 1)
+            side = sides.take(depth)
+            # Texel centres at whole numbers, behind the padding.
+            across, down = ((place * side).add_(0.5) for place in places)
             left, top = across.floor(), down.floor()
-            across, down = across - left, down - top
-            corner = starts.take(depth.to(torch.int64)) + top * (side + 2) + left
-            places += [corner, corner + 1, corner + (side + 2), corner + (side + 3)]
-            under = share * down
-            over = share - under
-            right_over, right_under = over * across, under * across
-            shares += [over - right_over, right_over, under - right_under, right_under]
-        rows, weights = _stack_columns(places, torch.int32), _stack_columns(shares, torch.float32)
-        found = F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
-        return found.reshape(*directions.shape[:-1], 3)
+            across.sub_(left)
+            down.sub_(top).mul_(share)
+            wide = side.add_(2)
+            corner = starts.take(depth).add_(top.mul_(wide)).add_(left).to(torch.int32)
+            rows[..., k] = corner
+            torch.add(corner, 1, out=rows[..., k + 1])
+            corner.add_(wide.to(torch.int32))
+            rows[..., k + 2] = corner
+            torch.add(corner, 1, out=rows[..., k + 3])
+            over = share - down
+            right_over = torch.mul(over, across, out=weights[..., k + 1])
+            right_under = torch.mul(down, across, out=weights[..., k + 3])
+            torch.sub(over, right_over, out=weights[..., k])
+            torch.sub(down, right_under, out=weights[..., k + 2])
+        found = F.embedding_bag(rows.view(-1, 8), table, per_sample_weights=weights.view(-1, 8), mode="sum")
+        return found.T.reshape(directions.shape)
 
     def light_samples(self, count: int) -> EnvironmentSamples:
         """Importance samples of the environment: at most `count` lights that together have its flux.
@@ -225,14 +242,6 @@ class Environment:
         flux, _, moment = torch.cat(leaves).split([3, 1, 3], -1)
         direction = self._turned(F.normalize(moment, dim=-1), self.rotation)
         return EnvironmentSamples(direction.to(torch.float32), flux.to(torch.float32))
-
-
-def _stack_columns(parts: list[Tensor], dtype: torch.dtype) -> Tensor:
-    """Parts `(...)` as columns, `(N, k)`: what torch.stack does, in half the time."""
-    whole = torch.empty(*parts[0].shape, len(parts), dtype=dtype, device=parts[0].device)
-    for column, part in enumerate(parts):
-        whole[..., column] = part
-    return whole.reshape(-1, len(parts))
 
 
 def _halved(texels: Tensor) -> Tensor:

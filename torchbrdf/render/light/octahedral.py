@@ -11,8 +11,8 @@ from torch import Tensor
 
 
 def to_square(directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Coordinates in the square, `(...)` each, of unit vectors `(..., 3)`."""
-    x, y, z = directions.unbind(-1)
+    """Coordinates in the square, `(...)` each, of unit vectors `(3, ...)`."""
+    x, y, z = directions
     # sqrt(1 - |y|), without the cancellation near the poles
     radius = ((x.square() + z.square()) / (1 + y.abs())).sqrt()
     second = torch.atan2(z.abs(), x.abs()) * radius * (2 / math.pi)

@@ -101,7 +101,7 @@ def _frames(normal: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
 
 def _along_a_curve(directions: Tensor) -> Tensor:
     """A number for each direction that is alike for directions that are: its place along a Z-shaped curve."""
-    first, second = (((0.5 + 0.5 * x) * 64).to(torch.int64).clamp(0, 63) for x in to_square(directions))
+    first, second = (((0.5 + 0.5 * x) * 64).to(torch.int64).clamp(0, 63) for x in to_square(directions.T))
     place = torch.zeros_like(first)
     for bit in range(6):
         place |= ((first >> bit & 1) << 2 * bit) | ((second >> bit & 1) << (2 * bit + 1))

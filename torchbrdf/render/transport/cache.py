@@ -14,7 +14,8 @@ from torchbrdf import __version__
 from torchbrdf.errors import DataError
 from torchbrdf.pairs import Pairs
 from torchbrdf.reading import check_unpacked, read_npz, write_npz
-from torchbrdf.render.transport.transport import KNOWN, Block
+from torchbrdf.render.transport.blocks import Block
+from torchbrdf.render.transport.compact import KNOWN
 
 Made = tuple[Pairs, list[Block]]
 # Arrays of a block, with their types.

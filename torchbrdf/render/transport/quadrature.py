@@ -11,22 +11,26 @@ two quadratures share it, by a smooth weight s that goes from 1 at theta_h = 5 d
 
 Point and directional lights have one direction for each pixel (`PunctualQuadrature`).
 
-Each also says how its pairs fall into bins (`bin`), and which pairs stand for a bin (`representatives`): the compact
-pairs that a transport works on.
+Each also takes pairs that are nearly equal for one (`compact`): the compact pairs that a transport works on.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from torchbrdf.measured.grid import nearest_valid
 from torchbrdf.pairs import Pairs
+from torchbrdf.parallel import thread_map
 from torchbrdf.render.light.environment import Environment, EnvironmentSamples
 from torchbrdf.render.light.punctual import PunctualLight
 from torchbrdf.render.raster.pixels import Pixels
+from torchbrdf.render.transport.blocks import Block, Entries, LightBlock, NodeBlock
 
 if TYPE_CHECKING:
     from torchbrdf.render.transport.shadows import Occluder
@@ -43,36 +47,44 @@ _BLUR, _LEAST = 0.5, 0.5
 # Bins of theta_o in which a node's pairs are taken for one: at 1 degree pictures were 7 dB farther from those without
 # bins than at half a degree.
 _STEPS = 180
+# Pairs at a time: their quantities then stay in a processor's cache.
+CHUNK = 65536
+# Pixels, evenly spread, that say where in its bin the pair of a bin is.
+_ASKED = 8192
+# Below the length of any half vector that counts; and of sines that have no azimuth.
+_SHORT, _NONE = 1e-12, 1e-20
+
+
+@dataclass(frozen=True)
+class Compact:
+    """A quadrature on few pairs.
+
+    pairs: `(1, n)`, float32, of angles and cosines; groups: rows of pixels, whose entries are worked out together;
+    block: works them out, with columns that count the pairs.
+    """
+
+    pairs: Pairs
+    groups: list[Tensor]
+    block: Callable[[Tensor], Entries]
 
 
 class Quadrature(Protocol):
-    """Protocol of quadratures over light.
-
-    length: pairs of a pixel at most. bins: of the compact pairs at most, with so many `dimensions`.
-    """
+    """Protocol of quadratures over light. length: pairs of a pixel at most, about."""
 
     length: int
-    bins: int
-    dimensions: int
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Of some pixels: Pairs `(1, p L)` and weights `(p, L, 3)`, radiance times cosine times solid angle."""
 
-    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """The bin of each of the pairs that `samples` gave, `(p L,)`, and where in it each is, `(d, p L)`."""
-
-    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """The pairs `(1, n)` that stand for some bins `(n,)`, by the mean place in them, `(d, n)`, float64."""
+    def compact(self) -> Compact:
+        """The same with pairs that are nearly equal taken for one."""
 
 
 class HalfVectorQuadrature:
     """Quadrature over half vectors around the mirror direction. All follows from the node and from theta_o."""
 
-    dimensions = 1
-
     def __init__(self, pixels: Pixels, environment: Environment, nodes: int, occluder: "Occluder | None") -> None:
         self.pixels, self.environment, self.length, self.occluder = pixels, environment, nodes, occluder
-        self.bins = nodes * _STEPS
 
     @cached_property
     def nodes(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -90,38 +102,60 @@ class HalfVectorQuadrature:
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs and weights of some pixels over the nodes."""
-        frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
-        half, tan2_h, solid, share = self.nodes
+        outgoing = self.pixels.outgoing[:, rows, None]
+        half, tan2_h, _, _ = self.nodes
         incident, cos_d = _reflected(half, outgoing)
-        directions = (frame.transpose(1, 2) @ incident.transpose(0, 1)).transpose(1, 2)
-        radiance = self.environment.lookup(directions, _BLUR * solid * cos_d.clamp_min(_LEAST))
-        counted = incident[2].clamp_min(0) * cos_d * (solid * share)
+        weight = self._weights(rows, incident[2], cos_d)
+        return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1]), weight.permute(1, 2, 0)
+
+    def _weights(self, rows: Tensor, cos_i: Tensor, cos_d: Tensor) -> Tensor:
+        """Weights `(3, p, n)`, by cosines `(p, n)`."""
+        half, _, solid, share = self.nodes
+        frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows]
+        viewer = frame[:, 0] * outgoing[0, :, None] + frame[:, 2] * outgoing[2, :, None]
+        directions = torch.einsum("pkc,kn->cpn", frame, half).mul_(2 * cos_d).sub_(viewer.T[..., None])
+        radiance = self.environment.look(directions, _BLUR * solid * cos_d.clamp_min(_LEAST))
+        counted = cos_i.clamp_min(0) * cos_d * (solid * share)
         if self.occluder is not None:
-            counted = counted * self.occluder.visible(self.pixels.position[rows], directions, wanted=counted > 0)
-        return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1]), radiance * counted[..., None]
+            toward = directions.permute(1, 2, 0)
+            counted *= self.occluder.visible(self.pixels.position[rows], toward, wanted=counted > 0)
+        return radiance * counted
 
-    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Bins by node and theta_o."""
-        theta_o = torch.atan2(*self.pixels.outgoing[[0, 2]][:, rows])
+    def compact(self) -> Compact:
+        """In bins of theta_o: a node's pairs in one are that of the mean theta_o of its pixels."""
+        theta_o = torch.atan2(self.pixels.outgoing[0], self.pixels.outgoing[2]).double()
         step = (theta_o * (_STEPS / (math.pi / 2))).long().clamp(0, _STEPS - 1)
-        bins = step[:, None] * self.length + torch.arange(self.length, dtype=torch.int64, device="cpu")
-        return bins.flatten(), theta_o[:, None].expand(bins.shape).reshape(1, -1)
-
-    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """Pairs of the node seen from the mean theta_o of its bin."""
-        half, tan2_h, _, _ = (part[..., bins % self.length].double() for part in self.nodes)
-        outgoing = torch.stack([mean[0].sin(), torch.zeros_like(mean[0]), mean[0].cos()])
+        order = step.argsort(stable=True)
+        found, inverse, counts = step.unique(return_inverse=True, return_counts=True)
+        mean = torch.zeros(len(found), dtype=torch.float64, device="cpu").index_add(0, inverse, theta_o) / counts
+        half, tan2_h, _, _ = (part.double() for part in self.nodes)
+        outgoing = torch.stack([mean.sin(), torch.zeros_like(mean), mean.cos()])[..., None]
         incident, cos_d = _reflected(half, outgoing)
-        return _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1])
+        above = incident[2] > 0
+        place = (above.flatten().cumsum(0) - 1).unflatten(0, above.shape)
+        pairs = _pairs(incident, outgoing, cos_d, half[2], tan2_h, outgoing[0] * half[1])
+
+        def block(rows: Tensor) -> Entries:
+            used = above[inverse[rows[0]]]
+            outgoing = self.pixels.outgoing[:, rows]
+            cos_d = _cos_d(self.nodes[0], outgoing[..., None])
+            cos_i = (2 * cos_d).mul_(self.nodes[0][2]).sub_(outgoing[2, :, None])
+            weight = self._weights(rows, cos_i, cos_d)
+            weight = weight.contiguous() if used.all() else weight[..., used]
+            return NodeBlock(rows, place[inverse[rows[0]], used], weight)
+
+        together = max(CHUNK // self.length, 1)
+        groups = [rows for own in order.split(counts.tolist()) for rows in own.split(together)]
+        return Compact(pairs.select(samples=above.flatten().nonzero()[:, 0]), groups, block)
 
 
 class LightQuadrature:
     """Quadrature over the same lights for every pixel.
 
-    Bins are those of a MERL table, or coarser: theta_h^(1/2), theta_d, phi_d.
+    Bins are about those of a MERL table, or coarser, in coordinates that need no angles: u_h = (1 - cos_h)^(1/4), which
+    goes as theta_h^(1/2), u_d = (1 - cos_d)^(1/2), which goes as theta_d, and u_phi = (1 - x / (|x| + y)) / 2 of
+    (x, y) along phi_d. All are from 0 to 1.
     """
-
-    dimensions = 3
 
     def __init__(
         self, pixels: Pixels, lights: EnvironmentSamples, resolution: tuple[int, int, int], occluder: "Occluder | None"
@@ -129,7 +163,6 @@ class LightQuadrature:
         self.pixels, self.lights, self.occluder = pixels, lights, occluder
         self.length = (len(lights.flux) + 1) // 2
         self.resolution = resolution
-        self.bins = math.prod(resolution)
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs and weights of some pixels; lights below the horizon of all these pixels are left out."""
@@ -144,29 +177,79 @@ class LightQuadrature:
             counted = counted * self.occluder.visible(self.pixels.position[rows], everywhere, wanted=counted > 0)
         return pairs, self.lights.flux[used] * counted[..., None]
 
-    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Bins by half and difference angles."""
-        place = torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
-        share = (place[0] / (math.pi / 2)).sqrt(), place[1] / (math.pi / 2), place[2] / math.pi
-        bins = torch.zeros(place.shape[1], dtype=torch.int64, device="cpu")
-        for one, count in zip(share, self.resolution, strict=True):
-            bins = bins * count + (one * count).long().clamp(0, count - 1)
-        return bins, place
+    def compact(self) -> Compact:
+        """In bins of half and difference angles: pairs in one are that of their mean place."""
+        every = torch.arange(len(self.pixels), dtype=torch.int64, device="cpu")
+        groups = list(every.split(max(CHUNK // self.length, 1)))
+        asked = every[:: max(len(every) // _ASKED, 1)].split(max(4 * CHUNK // self.length, 1))
+        sums = np.zeros((4, math.prod(self.resolution)))
+        for own in thread_map(self._sums, asked):
+            sums += own
+        filled = np.flatnonzero(sums[0])
+        column = np.zeros(sums.shape[1], np.int32)
+        column[filled] = np.arange(len(filled), dtype=np.int32)
+        if len(filled):  # what only pixels fill that were not asked is little, and near
+            column = column[nearest_valid((sums[0] > 0).reshape(self.resolution))]
+        columns = torch.from_numpy(column)
 
-    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """Pairs of the mean of the angles in each bin."""
-        return Pairs.from_half_diff(*mean[:, None])
+        def block(rows: Tensor) -> Entries:
+            places, counted, used = self._places(rows)
+            return LightBlock(
+                rows,
+                columns.index_select(0, self._bins(places).flatten()).view(counted.shape),
+                counted,
+                self.lights.flux[used].T.contiguous(),
+            )
+
+        pairs = _pairs_at(torch.from_numpy(sums[1:, filled] / sums[0, filled]))
+        return Compact(pairs, groups if len(filled) else [], block)
+
+    def _sums(self, rows: Tensor) -> np.ndarray:
+        """What falls into each bin, and its sum of places, `(4, bins)`."""
+        places, counted, used = self._places(rows)
+        bins = self._bins(places).flatten().numpy()
+        heavy = (counted * self.lights.flux[used].sum(-1)).flatten().double()
+        parts = [heavy, *(heavy * place.flatten() for place in places)]
+        return np.stack([np.bincount(bins, part.numpy(), math.prod(self.resolution)) for part in parts])
+
+    def _places(self, rows: Tensor) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Coordinates of pairs `(p, l)`, what each counts but for the light's colour, and which lights are used."""
+        frame, outgoing = self.pixels.frame[rows], self.pixels.outgoing[:, rows, None]
+        used = (frame[:, 2] @ self.lights.direction.T > 0).any(0)
+        direction = self.lights.direction[used]
+        viewer = frame[:, 0] * outgoing[0] + frame[:, 2] * outgoing[2]
+        across = frame[:, 1] * outgoing[0]
+        cos_i, length, turn = torch.stack([frame[:, 2], viewer, across]) @ direction.T
+        length = length.mul_(2).add_(2).clamp_min_(_SHORT).sqrt_()  # of the sum of both directions: 2 cos_d
+        cos_i, cos_o = cos_i.clamp_min_(0), outgoing[2]
+        cos_h = (cos_i + cos_o).div_(length)
+        counted = half_vector_weight(cos_h).neg_().add_(1).mul_(cos_i)
+        if self.occluder is not None:
+            everywhere = direction.expand(len(rows), -1, 3)
+            counted *= self.occluder.visible(self.pixels.position[rows], everywhere, wanted=counted > 0)
+        # x / y, where cos_o - cos_i = 2 sin_h sin_d cos phi_d is 2 x, and turn / length is y.
+        slope = (cos_o - cos_i).mul_(length).div_(turn.mul_(2).add_(_NONE))
+        slope = slope.div_(slope.abs().add_(1))
+        u_h = cos_h.neg_().add_(1).clamp_min_(0).sqrt_().sqrt_()
+        u_d = length.mul_(-0.5).add_(1).clamp_min_(0).sqrt_()
+        return [u_h, u_d, slope.mul_(-0.5).add_(0.5)], counted, used
+
+    def _bins(self, places: Sequence[Tensor]) -> Tensor:
+        """The bin of each, int32."""
+        first, *rest = (
+            (place * (count * (1 - 1e-6))).to(torch.int32) for place, count in zip(places, self.resolution, strict=True)
+        )
+        for one, count in zip(rest, self.resolution[1:], strict=True):
+            first = first.mul_(count).add_(one)
+        return first
 
 
 class PunctualQuadrature:
     """Quadrature over point and directional lights; their pairs are not binned, since there are few."""
 
-    dimensions = 3
-
     def __init__(self, pixels: Pixels, punctual_lights: Sequence[PunctualLight], occluder: "Occluder | None") -> None:
         self.pixels, self.punctual_lights, self.occluder = pixels, punctual_lights, occluder
         self.length = len(punctual_lights)
-        self.bins = len(pixels) * len(punctual_lights)
 
     def samples(self, rows: Tensor) -> tuple[Pairs, Tensor]:
         """Pairs of some pixels, and weights: irradiance times the cosine."""
@@ -181,14 +264,20 @@ class PunctualQuadrature:
             counted = counted * self.occluder.visible(position[rows], direction, wanted=counted > 0, limit=limit)
         return pairs, irradiance * counted[..., None]
 
-    def bin(self, rows: Tensor, pairs: Pairs) -> tuple[Tensor, Tensor]:
-        """Bins of one pair each."""
-        bins = rows[:, None] * self.length + torch.arange(self.length, dtype=torch.int64, device="cpu")
-        return bins.flatten(), torch.stack([pairs.theta_h[0], pairs.theta_d[0], pairs.phi_d[0]])
+    def compact(self) -> Compact:
+        """All pairs that count, as they are."""
+        every = torch.arange(len(self.pixels), dtype=torch.int64, device="cpu")
+        pairs, weight = self.samples(every)
+        used = (weight > 0).any(-1)
+        place = (used.flatten().cumsum(0) - 1).to(torch.int32).unflatten(0, used.shape)
 
-    def representatives(self, bins: Tensor, mean: Tensor) -> Pairs:
-        """The one pair of each bin."""
-        return Pairs.from_half_diff(*mean[:, None])
+        def block(rows: Tensor) -> Entries:
+            own = used[rows]
+            start = torch.nn.functional.pad(own.sum(1).cumsum(0), (1, 0)).to(torch.int32)
+            return Block(rows, start, place[rows][own], weight[rows][own].T.contiguous())
+
+        groups = list(every.split(max(CHUNK // self.length, 1)))
+        return Compact(pairs.select(samples=used.flatten().nonzero()[:, 0]), groups, block)
 
 
 def half_vector_weight(cos_h: Tensor) -> Tensor:
@@ -199,11 +288,14 @@ def half_vector_weight(cos_h: Tensor) -> Tensor:
 
 
 def _reflected(half: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
-    """Incident directions `(3, ...)` for half vectors `(3, n)`, and cos_d."""
+    """Incident directions `(3, p, n)` for half vectors `(3, n)` and `(3, p, 1)`, and cos_d."""
+    cos_d = _cos_d(half, outgoing)
+    return 2 * cos_d * half[:, None] - outgoing, cos_d
+
+
+def _cos_d(half: Tensor, outgoing: Tensor) -> Tensor:
     # Below 0 it is only where the light is below the horizon.
-    cos_d = (outgoing[0] * half[0] + outgoing[2] * half[2]).clamp_min(1e-6)
-    half = half if half.dim() == outgoing.dim() else half[:, None]
-    return 2 * cos_d * half - outgoing, cos_d
+    return (outgoing[0] * half[0] + outgoing[2] * half[2]).clamp_min_(1e-6)
 
 
 def _between(incident: Tensor, outgoing: Tensor) -> tuple[Pairs, Tensor]:
@@ -236,3 +328,11 @@ def _pairs(incident: Tensor, outgoing: Tensor, cos_d: Tensor, cos_h: Tensor, tan
     # theta_d from the cosine is exact enough, and cheaper than from the directions
     known["theta_d"] = torch.atan2((1 - known["cos_d"].square()).clamp_min(0).sqrt(), known["cos_d"])
     return Pairs(wi=wi, wo=wo, **known)
+
+
+def _pairs_at(place: Tensor) -> Pairs:
+    """Pairs `(1, n)` at coordinates of `LightQuadrature`, `(3, n)`, float64."""
+    u_h, u_d, u_phi = place
+    along = 1 - 2 * u_phi
+    theta_h, theta_d = (2 * torch.asin((u * math.sqrt(0.5)).clamp_max(math.sqrt(0.5))) for u in (u_h.square(), u_d))
+    return Pairs.from_half_diff(*(x[None] for x in (theta_h, theta_d, torch.atan2(1 - along.abs(), along))))

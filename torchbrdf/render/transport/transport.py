@@ -1,68 +1,17 @@
 """A picture as a linear function of BRDF values on a compact set of pairs: one sparse product."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-import torch.nn.functional as F
 from scipy import sparse
 from torch import Tensor
 
-from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import thread_map
-from torchbrdf.render.transport.quadrature import Quadrature
+from torchbrdf.errors import ShapeError
+from torchbrdf.render.transport.blocks import Block
 
-# What is known of the pairs.
-KNOWN = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
-# Columns of a product at a time: more of them no longer fit the processor's cache.
-_AT_ONCE = 8
-
-
-@dataclass(frozen=True)
-class Block:
-    """Entries of some rows of a sparse matrix with three values each, for red, green and blue light.
-
-    rows: `(p,)`, the rows; start: `(p + 1,)`, where each row's entries begin and end; column: `(E,)`, int32; value:
-    `(3, E)`, float32.
-    """
-
-    rows: Tensor
-    start: Tensor
-    column: Tensor
-    value: Tensor
-
-    def times(self, table: Tensor) -> Tensor:
-        """Product of the block with columns of numbers `(N, K)`, `(3, p, K)`."""
-        # embedding_bag is torch's fastest sparse product: both cores, no copy of the gathered rows.
-        found = [
-            F.embedding_bag(
-                self.column, table, self.start, mode="sum", per_sample_weights=value, include_last_offset=True
-            )
-            for value in self.value.to(table.dtype)
-        ]
-        return torch.stack(found)
-
-    def channel(self, k: int) -> "Block":
-        """The block with the values of one channel only."""
-        return Block(self.rows, self.start, self.column, self.value[k : k + 1])
-
-    def to(self, device: torch.device | str) -> "Block":
-        """The block on another device."""
-        return Block(*(part.to(device) for part in (self.rows, self.start, self.column, self.value)))
-
-    def transposed(self, columns: int) -> "Block":
-        """The transposed block: entries column by column, with the rows in the place of columns."""
-        # scipy turns the pattern round in linear time; what it carries along says where each entry went.
-        shape = (len(self.start) - 1, columns)
-        order = np.arange(len(self.column), dtype=np.int32)
-        turned = sparse.csr_matrix((order, self.column.numpy(), self.start.numpy()), shape).tocsc()
-        rows, start, entry = (torch.from_numpy(part) for part in (turned.indices, turned.indptr, turned.data))
-        value = torch.stack([one[entry.long()] for one in self.value])
-        every = torch.arange(columns, dtype=torch.int64, device="cpu")
-        return Block(every, start.to(torch.int32), self.rows.to(torch.int32)[rows.long()], value)
+# Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
+_AT_ONCE = 32
 
 
 class Transport:
@@ -106,8 +55,7 @@ class Transport:
 
     def picture(self, pixels: Tensor) -> Tensor:
         """`(M, P, 3)` in their places in the picture, `(M, size, size, 3)`."""
-        whole = pixels.new_zeros(len(pixels), self.size**2, 3)
-        return whole.index_copy(1, self.index.to(pixels.device), pixels).unflatten(1, (self.size, self.size))
+        return in_places(pixels, self.index, self.size)
 
     def pixels(self, values: Tensor) -> Tensor:
         """The rows of the picture that show something, `(M, P, 3)`, of values `(M, N, 3)`; differentiable."""
@@ -143,14 +91,7 @@ class Transport:
         parts = []
         for block in self.blocks:
             own = (wanted[block.rows] >= 0).nonzero()[:, 0]
-            lengths = (block.start[1:] - block.start[:-1])[own].long()
-            end = lengths.cumsum(0)
-            entry = torch.arange(int(end[-1]) if len(end) else 0, dtype=torch.int64, device=end.device) + (
-                block.start[:-1][own] - end + lengths
-            ).repeat_interleave(lengths)
-            parts.append(
-                Block(wanted[block.rows[own]], F.pad(end, (1, 0)).int(), block.column[entry], block.value[:, entry])
-            )
+            parts.append(block.select(own, wanted[block.rows[own]]))
         kept = torch.zeros(self.count, dtype=torch.bool, device=self.index.device)
         for part in parts:
             kept[part.column.long()] = True
@@ -204,72 +145,7 @@ class _Product(torch.autograd.Function):
         return ctx.transport.backward(gradient), None
 
 
-Job = tuple[Quadrature, Tensor]
-
-
-def build_transport(jobs: Sequence[Job], parts: Sequence[Quadrature]) -> tuple[Pairs, Callable[[], Iterator[Block]]]:
-    """Build a transport: compact pairs `(1, N)`, float32, and what gives the blocks, job after job.
-
-    Pairs of directions that fall into one bin are taken for one, at their weighted mean place.
-    """
-    sums = [np.zeros((1 + part.dimensions, part.bins)) for part in parts]
-
-    def bin_sums(job: Job) -> tuple[int, np.ndarray, list[np.ndarray]]:
-        part, rows = job
-        pairs, weight = part.samples(rows)
-        bins, place = part.bin(rows, pairs)
-        heavy = weight.sum(-1).flatten()
-        used = heavy > 0
-        found, inverse = np.unique(bins[used].numpy(), return_inverse=True)
-        counted = heavy[used].numpy()
-        own = [np.bincount(inverse, counted), *(np.bincount(inverse, counted * one) for one in place[:, used].numpy())]
-        return parts.index(part), found, own
-
-    for k, there, own in thread_map(bin_sums, jobs):
-        sums[k][:, there] += np.stack(own)
-    columns, known, first = [], [], 0
-    for part, total in zip(parts, sums, strict=True):
-        filled = np.flatnonzero(total[0])
-        column = torch.full((part.bins,), -1, dtype=torch.int32, device="cpu")
-        column[torch.from_numpy(filled)] = torch.arange(first, first + len(filled), dtype=torch.int32, device="cpu")
-        columns.append(column)
-        first += len(filled)
-        mean = torch.from_numpy(total[1:, filled] / total[0, filled])
-        known.append(part.representatives(torch.from_numpy(filled), mean))
-    if not first:
-        raise DataError("scene: no light reaches what is seen of the object")
-    whole = {name: torch.cat([getattr(one, name) for one in known], 1).to(torch.float32) for name in KNOWN}
-
-    def block(job: Job) -> Block:
-        part, rows = job
-        pairs, weight = part.samples(rows)
-        bins, _ = part.bin(rows, pairs)
-        used = (weight > 0).any(-1)
-        start = F.pad(used.sum(1).cumsum(0), (1, 0)).to(torch.int32)
-        used = used.flatten()
-        column = columns[parts.index(part)][bins[used]]
-        return Block(rows, start, column, weight.reshape(-1, 3)[used].T.contiguous())
-
-    return Pairs(**whole), lambda: thread_map(block, jobs)
-
-
-def merge_blocks(blocks: Iterator[Block], jobs: Sequence[Job], parts: Sequence[Quadrature]) -> list[Block]:
-    """Merge the blocks of each quadrature into one with all rows."""
-    own: list[list[Block]] = [[] for _ in parts]
-    for (part, _), block in zip(jobs, blocks, strict=True):
-        own[parts.index(part)].append(block)
-    found = []
-    for several in own:
-        starts, first = [torch.zeros(1, dtype=torch.int32, device="cpu")], 0
-        for block in several:
-            starts.append(block.start[1:] + first)
-            first += len(block.column)
-        found.append(
-            Block(
-                torch.cat([block.rows for block in several]),
-                torch.cat(starts),
-                torch.cat([block.column for block in several]),
-                torch.cat([block.value for block in several], 1),
-            )
-        )
-    return found
+def in_places(pixels: Tensor, index: Tensor, size: int) -> Tensor:
+    """`(M, P, 3)` where `index` says in pictures `(M, size, size, 3)`, which are 0 elsewhere."""
+    whole = pixels.new_zeros(len(pixels), size**2, 3)
+    return whole.index_copy(1, index.to(pixels.device), pixels).unflatten(1, (size, size))
