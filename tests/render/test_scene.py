@@ -232,7 +232,8 @@ def test_several_pictures_come_from_one_transport_and_are_as_good(monkeypatch: p
     rough = torch.tensor([[0.02], [0.1], [0.4]])
     lobes = Sum(Lambert(albedo=0.2), Ward(specular=0.3, roughness=rough))
     tables = load(standins()).batch([6, 5])
-    monkeypatch.setattr(memory, "limit", lambda: 2 * 24 * 2 * (len(scene.pairs) + 500))  # two at a time
+    pairs = len(scene.pairs)
+    monkeypatch.setattr(memory, "limit", lambda: 2 * 24 * 2 * (pairs + 500))  # two at a time
     seen: list[tuple[int, int]] = []
     found = render([lobes, tables], scene, lambda *numbers: seen.append(numbers))
     direct = render_directly([lobes, tables], scene)
