@@ -1,7 +1,7 @@
 """What a GPU would show, without one: nothing in a step moves to another device or waits for a number.
 
-Tensors on torch's device "meta" have shapes and no values: whatever mixes them with the CPU's, or asks for a value, as a
-GPU would have to stop for, raises.
+Tensors on torch's device "meta" have shapes and no values: whatever mixes them with the CPU's, or asks for a value, for
+which a GPU would have to stop, raises.
 """
 
 import pytest
@@ -68,7 +68,7 @@ def test_losses_stay_where_values_are(loss: str) -> None:
 
 
 @pytest.mark.parametrize("loss", [name for name, kind in LOSSES.items() if kind.objective in ("pointwise", "binned")])
-@pytest.mark.parametrize("name", ["ggx", "gltf", "openpbr", "oren_nayar", "shifted_gamma"])
+@pytest.mark.parametrize("name", ["ggx", "gltf", "oren_nayar"])
 def test_steps_stay_where_the_problem_is(name: str, loss: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Which materials are meant is asked once a step, beside what a solver asks to know whether to go on.
     monkeypatch.setattr(FitObjective, "is_every_material", lambda *_: True)
@@ -79,7 +79,9 @@ def test_steps_stay_where_the_problem_is(name: str, loss: str, monkeypatch: pyte
 @every_loss
 def test_steps_by_half_angles_wait_for_hardly_anything(loss: str) -> None:
     class Waits(TorchDispatchMode):
-        found: list[str] = []
+        def __init__(self) -> None:
+            super().__init__()
+            self.found: list[str] = []
 
         def __torch_dispatch__(self, func, types, args=(), kwargs=None):
             name = func.overloadpacket.__name__
