@@ -13,6 +13,7 @@ from torchbrdf.fitting.batching import material_batches
 from torchbrdf.fitting.initialization import from_unit, most_shape_parameters, starts_from_dictionary
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
+from torchbrdf.fitting.quasi_random import quasi_random_starts
 from torchbrdf.fitting.task import levenberg_marquardt_fit
 from torchbrdf.lobes import (
     LOBES,
@@ -111,6 +112,17 @@ def test_minima_are_found_whose_starts_are_slow_at_first(model, lobes, material,
     measured = measured.batch([measured.names.index(material)], samples=stratified(len(measured.pairs), 600, 0))
     found = fit(make_model(model, lobes), measured, LOSSES["compressed"](), diffuse="fit", samples=None)
     assert found.error.item() <= 1.005 * least
+
+
+def test_channels_start_alike():
+    """One at random seldom suits all three where channels have shapes of their own."""
+    model = make_model("shifted_gamma", 1).batched(2)
+    free = Parametrization(model, free_parameters(model, [0, 1]))
+    found = quasi_random_starts(free, get_parameters(model), 8)
+    for one in free.free:
+        value = found[one.name]
+        assert value.shape == (16, 3) and (value == value[:, :1]).all()
+        assert len(value[:, 0].unique()) == 8
 
 
 @pytest.mark.parametrize("name", COLORED)

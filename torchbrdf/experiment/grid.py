@@ -244,7 +244,7 @@ class FitGrid:
         records = []
         for b, result in enumerate(results):
             for m, record in enumerate(result.records()):
-                record.loss = names[b]
+                record.model, record.loss = model, names[b]  # as they were asked for
                 record.errors = {name: cross[a, b, m].item() for a, name in enumerate(names)}
                 record.outlier = bool(outliers[b, m])
                 records.append(record)

@@ -37,6 +37,7 @@ class GlobalSearch:
         near_optimal: minima within so much of the best are worth another look.
         quasi_random: starts all over the bounds of a model that the dictionary serves badly, as one of its lobes has
             several shape parameters, or not at all, as one is no albedo times a scalar function.
+        first_samples: that they begin on.
         first_steps: after which the best of them are chosen; earlier, those that are slow at first are lost.
         chosen: how many of them, at most, go on.
 
@@ -55,6 +56,7 @@ class GlobalSearch:
     same: float = 1e-4
     near_optimal: float = 0.01
     quasi_random: int = 32
+    first_samples: int = 1_000
     first_steps: int = 40
     chosen: int = 12
 
@@ -112,8 +114,8 @@ class GlobalSearch:
                 return by_dictionary
         found = quasi_random_starts(free, values, self.quasi_random)
         candidates = _Candidates(materials.repeat(self.quasi_random), found, free, self.same)
-        widths = coarse.loss.smoothing_widths[:1]
-        errors = candidates.refine(coarse, max_iterations=self.first_steps, ftol=1e-4, widths=widths)
+        first, widths = coarse.coarse(self.first_samples), coarse.loss.smoothing_widths[:1]
+        errors = candidates.refine(first, max_iterations=self.first_steps, ftol=1e-4, widths=widths)
         candidates.prune(errors, self.chosen, torch.inf)
         return by_dictionary.joined(candidates.materials, candidates.values) if by_dictionary else candidates
 
@@ -129,7 +131,7 @@ class GlobalSearch:
             errors = candidates.refine(between, max_iterations=50, ftol=1e-7, widths=last)
             outcome.add(between.describe_size(), *candidates.best(errors))
         candidates.prune(errors, self.kept, near)
-        errors = candidates.refine(full, max_iterations=50, ftol=1e-6, widths=last)
+        errors = candidates.refine(full, max_iterations=50, ftol=1e-5, widths=last)
         outcome.add(f"all {full.describe_size()}", *candidates.best(errors))
 
 
