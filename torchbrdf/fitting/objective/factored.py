@@ -40,6 +40,14 @@ class Sums(NamedTuple):
     grams: Tensor | None
     binned: Tensor | None = None
 
+    def plus(self, other: "Sums") -> "Sums":
+        """With those of other pairs."""
+        grams, binned = (
+            None if one is None or two is None else one + two
+            for one, two in ((self.grams, other.grams), (self.binned, other.binned))
+        )
+        return Sums(self.value + other.value, self.slopes + other.slopes, grams, binned)
+
     def chained(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, Q, P)`."""
         gradient = (self.slopes.flatten(1)[:, None] @ jacobian.flatten(1, 2))[:, 0]
