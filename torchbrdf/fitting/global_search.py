@@ -109,7 +109,8 @@ class GlobalSearch:
             found = starts_from_dictionary(
                 task.model, coarse, values, fit_diffuse, self.starts, shapes=self.shapes, beam=self.beam
             )
-            by_dictionary = _Candidates(materials.repeat(self.starts), found, free, self.same)
+            count = len(next(iter(found.values()))) // len(materials)
+            by_dictionary = _Candidates(materials.repeat(count), found, free, self.same)
             if most_shape_parameters(task.model) < 2 or not coarse.starts_are_cheap:
                 return by_dictionary
         found = quasi_random_starts(free, values, self.quasi_random)

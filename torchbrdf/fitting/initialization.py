@@ -42,7 +42,9 @@ def starts_from_dictionary(
     shapes: int = 16,
     beam: int = 8,
 ) -> ParameterDict:
-    """The best `wanted` starts for each of M materials, none near another: starts after starts, `(wanted * M, ...)`.
+    """The best starts for each of M materials, none near another: starts after starts, `(S * M, ...)`.
+
+    They are `wanted`, and one more where two equal lobes of one shape can differ in F0 (see `_twins_apart`).
 
     values: the parameters that are held, and those of the diffuse component, `(M, ...)`; shapes: of a lobe; beam:
     combinations of lobes that are extended by one more, from the third on.
@@ -79,6 +81,9 @@ def starts_from_dictionary(
     limits = torch.cat([*base, *(one.limits for one in unique)], 1).to(gram)
     picked, factor = _search(gram, right, limits, dictionaries, int(fit_diffuse), beam)
     chosen = _suppress_neighbours(picked, dictionaries, wanted)
+    twins = _twins(picked, dictionaries)
+    if bool(twins.any()):
+        chosen = torch.cat([chosen, twins.to(torch.int8).argmax(1, keepdim=True)], 1)
     picked, factor = _take(picked, chosen), _take(factor, chosen)
     return _starts(model, values, dictionaries, picked, factor, fit_diffuse)
 
@@ -207,6 +212,25 @@ def _suppress_neighbours(picked: Tensor, dictionaries: list[LobeDictionary], wan
     return torch.stack(chosen, 1)
 
 
+def _twins(picked: Tensor, dictionaries: list[LobeDictionary]) -> Tensor:
+    """Which combinations are of two equal lobes of one shape with one affine parameter, `(M, C)`."""
+    if len(dictionaries) != 2 or dictionaries[0] is not dictionaries[1] or len(dictionaries[0].ends) != 2:
+        return torch.zeros(picked.shape[:2], dtype=torch.bool, device=picked.device)
+    return picked[..., 0] == picked[..., 1]
+
+
+def _twins_apart(parts: list[Tensor], twins: Tensor) -> list[Tensor]:
+    """Factors of two lobes where twins take an end of F0 each, `(M, S, 3, 2)`.
+
+    Together they have then an F0 of its own in each channel, as the dictionary has, which one lobe has not.
+    """
+    if len(parts) != 2 or parts[0].shape[-1] != 2:
+        return parts
+    both, low = parts[0] + parts[1], parts[0].new_tensor([1.0, 0.0])
+    ends = (both * low, both * (1 - low))
+    return [torch.where(twins[..., None, None], end, own) for end, own in zip(ends, parts, strict=True)]
+
+
 def _starts(
     model: Lobe,
     values: ParameterDict,
@@ -227,10 +251,10 @@ def _starts(
         for k in diffuse_components(model):
             put(k, "albedo", factor[..., 0])
         factor = factor[..., 1:]
+    parts = _twins_apart(list(factor.split([len(one.ends) for one in dictionaries], -1)), _twins(picked, dictionaries))
     for i, (k, one) in enumerate(zip(specular_components(model), dictionaries, strict=True)):
-        color = one.lobe.albedo_spec()
+        color, own = one.lobe.albedo_spec(), parts[i]
         assert color is not None
-        own, factor = factor.split([len(one.ends), factor.shape[-1] - len(one.ends)], -1)
         put(k, color.name, own.sum(-1).clamp(color.lower, color.upper))
         share = own.sum(-2) / own.sum((-2, -1)).clamp_min(1e-300)[..., None]
         for j, spec in enumerate(one.affine):

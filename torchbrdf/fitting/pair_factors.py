@@ -79,7 +79,7 @@ def groups_of(pairs: Pairs, least: int) -> Groups | None:
 
 def probes_of(kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
     """`Probes.of`, kept."""
-    return kept(pairs, kind, lambda: Probes.of(kind, pairs, groups))
+    return kept(pairs, ("probes", kind), lambda: Probes.of(kind, pairs, groups))
 
 
 def factor_kinds(model: Lobe) -> list[type[Lobe]]:

@@ -128,8 +128,8 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
             totals[k] += full.expand(-1, 3, -1).sum((1, 2), dtype=torch.float64)
             encoded = channels.encode(loss, wanted, own)
             for b, prediction in enumerate(predictions):
-                found = channels.encode(loss, prediction.expand_as(wanted), own)
-                penalty = loss.penalty(found - encoded)
+                code = channels.encode(loss, prediction.expand_as(wanted), own)
+                penalty = loss.penalty(code - encoded)
                 sums[k, b] += (penalty if counted is None else penalty * counted).sum((1, 2)).double()
     means = sums / totals[:, None]
     return torch.stack([loss.finalize(mean) for loss, mean in zip(losses, means, strict=True)]).cpu()
@@ -148,10 +148,10 @@ def _predictions(
         return
     probes = {kind: probes_of(kind, pairs, groups) for kind in kinds}
     colors = [_colors(model, probes, pairs.dtype) for model in models]
-    for k, part in enumerate(groups):
-        own = pairs.select(samples=part)
+    for k, index in enumerate(groups):
+        own = pairs.select(samples=index)
         factors = torch.cat([factors_of(kind, own) for kind in kinds])
-        yield part, own, [color[k] @ factors for color in colors]
+        yield index, own, [color[k] @ factors for color in colors]
 
 
 def _colors(model: Lobe, probes: dict[type[Lobe], Probes], dtype: torch.dtype) -> Tensor:

@@ -10,6 +10,7 @@ MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -85,7 +86,8 @@ class SufficientStatistics:
     @classmethod
     def joined(cls, parts: Sequence["SufficientStatistics"]) -> "SufficientStatistics":
         """Those of several batches of materials as one."""
-        return replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in _OF_MATERIALS})
+        sums: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in _OF_MATERIALS}
+        return replace(parts[0], **sums)
 
 
 _OF_MATERIALS = ("gram", "right", "zero", "total", "counts")

@@ -54,7 +54,7 @@ class CompressedLoss(Loss):
     def compress(self, x: Tensor) -> Tensor:
         """x^p."""
         x = x.clamp_min(0)
-        return safe_power(x, self.exponent) if self.eps == 0 else power(x + self.eps, self.exponent)
+        return safe_power(x, self.exponent) if self.eps == 0 else (x + self.eps).pow(self.exponent)
 
     def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
         """p x^(p - 1), 0 for values of 0 or less."""

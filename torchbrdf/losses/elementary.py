@@ -1,6 +1,7 @@
 """Elementary functions of many values, by whichever library is quickest at them.
 
-`out` is where results go, as in torch; None: into a new tensor.
+`out` is where results go, as in torch; None: into a new tensor. The last digit may depend on a value's place, so that
+they are for steps of a fit, and not where equal values must be exactly equal.
 """
 
 from collections.abc import Callable

@@ -172,7 +172,7 @@ class LearnedLoss(Loss):
 
     def compress(self, x: Tensor) -> Tensor:
         """log(x + EPSILON), what is compared of single values."""
-        return log(x.clamp_min(0).add(EPSILON))
+        return x.clamp_min(0).add(EPSILON).log()
 
     def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
         """1 / (x + EPSILON), 0 for values of 0 or less."""

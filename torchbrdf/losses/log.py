@@ -34,7 +34,7 @@ class LogLoss(Loss):
 
     def compress(self, x: Tensor) -> Tensor:
         """log(1 + x)."""
-        return log1p(x.clamp_min(0))
+        return torch.log1p(x.clamp_min(0))
 
     def compress_with_derivative(self, x: Tensor, out: Out = NEW) -> tuple[Tensor, Tensor]:
         """1 / (1 + x), 0 for negative values."""

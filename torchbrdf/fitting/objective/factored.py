@@ -40,6 +40,14 @@ class Sums(NamedTuple):
     grams: Tensor | None
     binned: Tensor | None = None
 
+    def plus(self, other: "Sums") -> "Sums":
+        """With those of other pairs."""
+        grams, binned = (
+            None if one is None or two is None else one + two
+            for one, two in ((self.grams, other.grams), (self.binned, other.binned))
+        )
+        return Sums(self.value + other.value, self.slopes + other.slopes, grams, binned)
+
     def chained(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, Q, P)`."""
         gradient = (self.slopes.flatten(1)[:, None] @ jacobian.flatten(1, 2))[:, 0]
@@ -118,10 +126,10 @@ class FactoredProblem:
         self.exposure = loss.exposure(problem.pairs)
         self.target, self.weight = self.layout.spread(code), None
         empty = self.layout.real == 0
-        for part in self.layout.parts(1):
-            nothing = torch.zeros_like(self.target[part, :1])
-            black, _ = self._compressed(nothing, part, torch.empty_like(nothing).repeat(2, 1, 1, 1, 1))
-            self.target[part] = torch.where(empty[part, None, None], black, self.target[part])
+        ends = empty.any(1).nonzero()[:, 0]
+        nothing = torch.zeros_like(self.target[ends, :1])
+        black, _ = self._compressed(nothing, ends, torch.empty_like(nothing).repeat(2, 1, 1, 1, 1))
+        self.target[ends] = torch.where(empty[ends, None, None], black, self.target[ends])
         self.filled = int(empty.sum())
         if weight is not None:
             self.filled = 0
@@ -231,7 +239,7 @@ class FactoredProblem:
         """What belongs to these materials, of `(b, M|1, ...)`."""
         return values if rows is None or values.shape[1] == 1 else values.index_select(1, rows)
 
-    def _compressed(self, x: Tensor, part: slice, spare: Tensor) -> tuple[Tensor, Tensor | None]:
+    def _compressed(self, x: Tensor, part: slice | Tensor, spare: Tensor) -> tuple[Tensor, Tensor | None]:
         """What is compared of values `(b, m, 3, size)`, exposed if the loss says how, and its derivative."""
         if self.exposure is not None and self.works_in_place:
             return self.loss.compress_with_derivative(x, (spare[0], spare[1]))

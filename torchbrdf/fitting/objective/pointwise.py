@@ -172,7 +172,10 @@ class PointwiseObjective(GaussNewtonObjective):
         if not found:  # no pair at all
             nothing = albedos.new_zeros(problems, 3, basis.used, basis.used, dtype=torch.float64)
             return Sums(nothing[:, 0, 0, 0], nothing[..., 0], nothing if curvature else None)
-        return Sums(*(None if own[0] is None else sum(own[1:], own[0]) for own in zip(*found, strict=True)))
+        total = found[0]
+        for one in found[1:]:
+            total = total.plus(one)
+        return total
 
     def _binned(self, samples: slice, rows: Tensor | None, responses: Tensor) -> Tensor | None:
         """What else is wanted of the responses `(m, Q, n)` on some pairs."""
