@@ -12,7 +12,7 @@ import pytest
 from torchbrdf.cli import main
 from torchbrdf.cli.commands import build_parser
 from torchbrdf.cli.common import number
-from torchbrdf.lobes import read_fits
+from torchbrdf.lobes import FitRecord, read_fits, write_fits
 
 
 def test_fit_prints_and_writes(paint, tmp_path, capsys):
@@ -290,3 +290,15 @@ def test_no_empty_folder_is_left_where_nothing_came_of_it(paint, tmp_path, capsy
     assert main([re.sub("PAINT|BAD|OUT", lambda found: str(places[found[0]]), a) for a in arguments]) > 0
     assert not (tmp_path / "out").exists()
     assert capsys.readouterr().err.startswith("torchbrdf")
+
+
+def test_a_black_material_is_fitted_and_that_is_said(tmp_path, capsys):
+    path = tmp_path / "black.json"
+    write_fits(
+        path, [FitRecord("black", "ward", 1, {"diffuse": [0.0] * 3, "specular": [[0.0] * 3], "roughness": [0.1]})]
+    )
+    assert main(["fit", str(path), "--lobes", "1", "--samples", "300", "--loss", "rms"]) == 0
+    assert "(all values are 0, which every model fits)" in capsys.readouterr().out
+    assert main(["render", str(path), "--size", "16", "--out", str(tmp_path / "out")]) == 1
+    said = "torchbrdf: ToneMap: expected pictures with some light, found nothing but black, as of materials whose values are all 0"
+    assert capsys.readouterr().err == f"{said}\n" and not (tmp_path / "out").exists()

@@ -195,6 +195,8 @@ def _loss(options: Options) -> "Loss":
 def _notes(record: "FitRecord") -> list[str]:
     """What else there is to say of a fit."""
     notes = [record.reason] if record.reason else []
+    black = record.error == 0 and not any(record.parameters.get("diffuse", [1.0]))
+    notes += ["all values are 0, which every model fits"] if black else []
     notes += [f"under {record.chosen}"] if record.chosen else []
     notes += [f"{record.ties} other minima within 1 %"] if record.ties else []
     return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])

@@ -180,7 +180,8 @@ class ToneMap:
         light = light[finite]
         largest = float(light.max()) if light.numel() else math.nan
         if not largest > 0:
-            raise DataError(f"ToneMap: expected finite pictures that are not all black; largest luminance {largest}")
+            found = "nothing but black, as of materials whose values are all 0" if largest == 0 else "no finite pixel"
+            raise DataError(f"ToneMap: expected pictures with some light, found {found}")
         if count:
             message = "torchbrdf: tone map: %d of %d pixels are not finite and do not count"
             logging.getLogger("torchbrdf").warning(message, count, finite.numel())

@@ -111,7 +111,9 @@ class Merl(BrdfFormat):
             not (_valid(first) & above_horizon()[:SLAB]).any()
             and not (_valid(self._raw(material)) & above_horizon()).any()
         ):
-            raise DataError(f"{path}: no valid entry: all {COUNT} are negative, not finite or below the horizon")
+            raise DataError(
+                f"{path}: no valid entry: all {COUNT} are negative, not finite, too large or below the horizon"
+            )
 
     def raw(self, material: int) -> np.ndarray:
         """The entries as the file has them, not scaled, `(3, 90, 90, 180)`."""
