@@ -162,6 +162,16 @@ def test_pictures_are_the_same_whether_entries_are_kept_or_not() -> None:
     assert ((first - exact).square().mean() / exact.square().mean()).log10() < -8  # 80 dB
 
 
+def test_a_picture_does_not_depend_on_those_beside_it() -> None:
+    """To the last bit: a fit that is its material has no difference from it."""
+    compact = make().compact
+    one = torch.rand(1, len(compact.pairs), 3, generator=torch.Generator().manual_seed(0))
+    alone = compact.pixels(one)
+    for count in (2, 5, 16, 21, 33, 50):
+        every = compact.pixels(one.expand(count, -1, -1))
+        assert all(torch.equal(picture, alone[0]) for picture in every), count
+
+
 def test_entries_take_no_more_room_than_they_may() -> None:
     compact = make(16).compact
     values = torch.rand(1, len(compact.pairs), 3)

@@ -11,6 +11,8 @@ from torch import Tensor
 
 # What is added to an int16 to make all of its values columns.
 _HALF_WAY = 2**15
+# Columns that matrix products work on at a time, or a multiple of them.
+_WHOLE = 16
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,13 @@ class NodeBlock:
 
     def products(self, tables: Sequence[Tensor]) -> list[Tensor]:
         """Products with columns of numbers, `(N, K)` of each channel: `(p, K)` of each."""
-        return [weight @ table[self.column] for weight, table in zip(self.weight, tables, strict=True)]
+        found = []
+        for weight, table in zip(self.weight, tables, strict=True):
+            columns = table.shape[1]
+            # Matrix products round the last columns otherwise than others: equal columns shall give equal ones.
+            whole = F.pad(table[self.column], (0, -columns % _WHOLE))
+            found.append((weight @ whole)[:, :columns])
+        return found
 
     def packed(self, columns: int) -> "NodeBlock":
         """The block itself: radiance may be more than float16 can hold."""
