@@ -3,10 +3,10 @@
 from torch import Tensor
 
 from torchbrdf.lobes._microfacet import apply_albedo
-from torchbrdf.lobes.abc_distribution import dielectric, dielectric_derivative
 from torchbrdf.lobes.ashikhmin_shirley import half_power, log_half_power_derivative
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.evaluation import half_in_float32
+from torchbrdf.lobes.fresnel import dielectric, dielectric_derivative
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.pairs import Pairs
 
