@@ -22,7 +22,7 @@ from torchbrdf.lobes import CookTorrance, FitRecord, Lambert, Sum, Ward, paramet
 from torchbrdf.measured import load_all
 from torchbrdf.perception.discrimination.words import said
 from torchbrdf.render import Camera, Environment, Scene, find_mesh, render
-from torchbrdf.report.viewer import first_pair
+from torchbrdf.report.viewer import LIGHTS, NODES, first_pair
 
 SIZE, STEPS = 24, 2
 WICKED = "<script>document.title = 'taken'<!--"
@@ -80,7 +80,9 @@ def test_one_file_holds_every_frame(page):
     assert np.shape(frames) == (2, STEPS, 5)  # lights, sides, items
     pictures = np.array([[[decoded(uri) for uri in step] for step in light] for light in frames])
     assert pictures.shape == (2, STEPS, 5, SIZE, SIZE, 3)
-    assert (abs(pictures[..., 0, 0, :].astype(int) - 128) < 16).all()  # the page's own grey, and JPEG's ripples
+    assert (
+        abs(pictures[..., 0, 0, :].astype(int) - 128) < 20
+    ).all()  # the page's own grey, as JPEG keeps it beside an edge
     assert (pictures[0, 0] != pictures[0, 1]).any() and (pictures[0] != pictures[1]).any()
     assert (pictures[:, :, 0] == pictures[:, :, 3]).all()  # a fit that is its material
 
@@ -121,7 +123,7 @@ def test_numbers_are_those_of_the_pictures(page, folder):
     assert all(step[3] == equal for light in numbers for step in light)
     light = Environment.from_file(folder / "sky.exr")
     (group,) = load_all([folder / "materials.json", folder / "fits.json"])
-    first, second = (Scene(find_mesh("blob"), Camera(turn), light, size=SIZE) for turn in (0, 180))
+    first, second = (Scene(find_mesh("blob"), Camera(turn), light, SIZE, NODES, LIGHTS) for turn in (0, 180))
     pictures = render(group, first)
     tone = ToneMap.from_images(pictures, first.mask.expand(pictures.shape[:-1]))
     shown = tone(render(group, second))
