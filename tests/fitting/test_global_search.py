@@ -49,6 +49,7 @@ def test_it_finds_what_a_model_was_made_from(name, loss_name):
     assert result.status == [Status.CONVERGED] * 2
     starts, best = (stage.name for stage in result.history)
     count = 7 if most_shape_parameters(make_model(name, 2)) < 2 else 19  # a coarse grid has random ones beside it
+    count += sum(spec.affine for spec in LOBES[name].scalars()) == 1  # one has two lobes of one shape that differ in F0
     assert starts.startswith(f"{count} starts, ") and best.startswith("best 3, ")
 
 
@@ -86,16 +87,16 @@ def test_starts_are_near_the_truth(name, lobes):
     objective = make_objective(model, Problem(pairs, values), CosineRMSLoss())
     start = get_parameters(model) | {"lobes.0.albedo": truth.components()[0].albedo.detach()}
     found = starts_from_dictionary(model, objective, start, False, 4)
-    shapes = torch.cat([found[f"lobes.{k}.{SHAPES[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(4, 2, lobes)
+    shapes = torch.cat([found[f"lobes.{k}.{SHAPES[name][0]}"] for k in range(1, lobes + 1)], 1).reshape(-1, 2, lobes)
     for material in range(2):
-        assert len(torch.unique(shapes[:, material], dim=0)) == 4
+        assert len(torch.unique(shapes[:, material], dim=0)) == len(shapes) >= 4
     best = Parametrization(model, []).predict(take_materials(found, slice(2)), pairs)  # the best start of each
     error = CosineRMSLoss("none")(best, values, pairs)
     zero_prediction_error = CosineRMSLoss("none")(torch.zeros_like(values), values, pairs)
     assert (error < (0.7 if lobes == 1 else 0.35) * zero_prediction_error).all()
     for one in free_parameters(model, range(lobes + 1)):
         value = found[one.name]
-        assert value.shape[0] == 8 and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
+        assert value.shape[0] == 2 * len(shapes) and (value >= one.spec.lower).all() and (value <= one.spec.upper).all()
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,8 @@ class GlobalSearch:
     the best different minima on the whole subset; those that are close to the best on all samples.
 
     Args:
-        starts: from the dictionary; the staged result is one more.
+        starts: from the dictionary; the staged result is one more, and so is one with two lobes of one shape that
+            differ in F0, where lobes have that.
         shapes: of a lobe in the dictionary.
         beam: combinations of lobes that are extended by one more, from the third on.
         coarse_samples: that starts are tried on.

@@ -56,7 +56,8 @@ class CubeRootLoss(Loss):
             return safe_power(difference.square(), 1 / 3)
         root = self.eps ** (1 / 3)
         if not difference.requires_grad:
-            return power(difference.square().add_(self.eps), 1 / 3).sub_(root).clamp_min_(0)
+            square = difference.square().add_(self.eps)
+            return power(square, 1 / 3, square).sub_(root).clamp_min_(0)
         # Near 0 in units of the cusp, where the second derivative of the power would overflow in float32.
         near = difference.abs() < 1e6 * self.eps**0.5
         square = torch.where(near, difference * self.eps**-0.5, difference).square()
@@ -72,6 +73,11 @@ class CubeRootLoss(Loss):
             rounding = difference.new_tensor(max(self.eps, torch.finfo(difference.dtype).tiny))
         else:
             rounding = width.square()
+        if out[0] is None:  # digit for digit the same wherever a value is, which L-BFGS is sensitive to at cusps
+            square = difference.square() + rounding
+            root = square.pow(1 / 3)
+            curvature = root / square * (2 / 3)
+            return root, curvature * difference, curvature
         square = torch.addcmul(rounding, difference, difference, out=out[2])
         root = power(square, 1 / 3, out[0])
         curvature = torch.addcdiv(difference.new_zeros(()), root, square, value=2 / 3, out=out[2])

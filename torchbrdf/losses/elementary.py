@@ -1,7 +1,7 @@
 """Elementary functions of many values, by whichever library is quickest at them.
 
-`out` is where results go, as in torch; None: into a new tensor. The last digit may depend on a value's place, so that
-they are for steps of a fit, and not where equal values must be exactly equal.
+`out` is where results go, as in torch; None: into a new tensor, by torch. With a place for it numpy's functions do the
+work, whose last digit may depend on where a value is: for steps of a fit, not where equal values must be exactly equal.
 """
 
 from collections.abc import Callable
@@ -16,31 +16,33 @@ NEW: Out = (None, None, None)
 """New tensors for all results."""
 
 
-def _is_quick(x: Tensor) -> bool:
-    """Whether numpy can work on it: on the CPU, without a graph, a tensor as others are."""
+def _is_quick(x: Tensor, out: Tensor | None) -> bool:
+    """Whether numpy can work on it: with a place for results, on the CPU, without a graph, a tensor as others are."""
+    if out is None:
+        return False
     plain = type(x) is Tensor and x.dtype in _QUICK and x.device.type == "cpu" and not x.requires_grad
     return plain and not torch.compiler.is_compiling() and not torch._C._functorch.is_functorch_wrapped_tensor(x)
 
 
 def _by_numpy(function: Callable[..., object], out: Tensor | None, x: Tensor, *more: float) -> Tensor:
-    found = torch.empty_like(x) if out is None else out
-    function(x.numpy(), *more, out=found.numpy())
-    return found
+    assert out is not None
+    function(x.numpy(), *more, out=out.numpy())
+    return out
 
 
 def log(x: Tensor, out: Tensor | None = None) -> Tensor:
     """Natural logarithms: numpy's take a third of torch's time."""
-    return _by_numpy(np.log, out, x) if _is_quick(x) else torch.log(x, out=out)
+    return _by_numpy(np.log, out, x) if _is_quick(x, out) else torch.log(x, out=out)
 
 
 def log1p(x: Tensor, out: Tensor | None = None) -> Tensor:
     """Logarithms of 1 + x, likewise."""
-    return _by_numpy(np.log1p, out, x) if _is_quick(x) else torch.log1p(x, out=out)
+    return _by_numpy(np.log1p, out, x) if _is_quick(x, out) else torch.log1p(x, out=out)
 
 
 def power(x: Tensor, exponent: float, out: Tensor | None = None) -> Tensor:
     """Powers of positive numbers: a cube root by numpy takes a ninth, others half of torch's time."""
-    if not _is_quick(x):
+    if not _is_quick(x, out):
         return torch.pow(x, exponent, out=out)
     if exponent == 1 / 3:
         return _by_numpy(np.cbrt, out, x)
