@@ -101,8 +101,9 @@ class LightBlock:
     def products(self, tables: Sequence[Tensor]) -> list[Tensor]:
         """Products with columns of numbers, `(N, K)` of each channel: `(p, K)` of each."""
         column = self.column if self.column.dtype == torch.int32 else self.column.to(torch.int32).add_(_HALF_WAY)
+        weight = self.weight.float()
         return [
-            F.embedding_bag(column, table, per_sample_weights=self.weight * color, mode="sum")
+            F.embedding_bag(column, table, per_sample_weights=weight * color, mode="sum")
             for table, color in zip(tables, self.color, strict=True)
         ]
 
