@@ -260,7 +260,7 @@ def _starts(
         for j, spec in enumerate(one.affine):
             high = share.new_tensor([float(end[j] == spec.upper) for end in one.ends])
             place = (share * high).sum(-1, keepdim=True)
-            put(k, spec.name, spec.lower + place * (spec.upper - spec.lower))
+            put(k, spec.name, (spec.lower + place * (spec.upper - spec.lower)).clamp(spec.lower, spec.upper))
         for j, spec in enumerate(one.shapes):
             put(k, spec.name, from_unit(spec, one.grid[:, j])[picked[..., i]][..., None])
     return found
