@@ -1,6 +1,8 @@
 """Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
 
+from torchbrdf.measured.astm import Astm
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
+from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
@@ -18,7 +20,9 @@ __all__ = [
     "MERL_NAMES",
     "MERL_SHA256",
     "PAPER_TEN",
+    "Astm",
     "BrdfFormat",
+    "Cornell",
     "Lookup",
     "Measured",
     "Merl",
