@@ -20,7 +20,7 @@ from torch.nn import functional
 
 from torchbrdf.pairs import Pairs
 
-NEIGHBOURS = 16
+NEIGHBOURS = 12
 """Places that a value is made of."""
 _BINS = 40
 # How much of the lobe's coordinate counts beside the difference angle's: lobes are narrow, and change little with it.
