@@ -7,9 +7,9 @@ does: light at 0, 20, 40 and 60 degrees, viewer every degree of polar angle and 
 left out, or all of one incidence; of these `--asked` are predicted. Printed is the root mean square error of the log of
 values (below 0.001 / sr they count as that), mean over materials, and the CPU seconds of one prediction.
 
-nearest, inverse distance, linear (Delaunay) and RBF (thin plates through the 24 nearest) work on the same coordinates and
-compressed values as the package's own interpolation. With --fits also a fitted Ward lobe times the package's own
-interpolation of the ratio.
+nearest, inverse distance, linear (Delaunay) and RBF (thin plates through the 24 nearest) work on the same coordinates
+and compressed values as the package's own interpolation. With --fits also a fitted model (two GGX lobes) times the
+package's own interpolation of the ratio to it.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def goniometer():
 
 def materials(options):
     """Kind, pairs and values `(N, 3)` of each material."""
-    paints = load(options.paints, dtype=torch.float64)
+    paints = load(sorted(options.paints), dtype=torch.float64)
     for k in range(0, len(paints), options.every):
         one = paints.batch([k])
         good = (one.weight[0, :, 0] > 0) & (torch.minimum(one.pairs.cos_i, one.pairs.cos_o)[0] > LIMIT)
@@ -135,7 +135,7 @@ METHODS = {
     "inverse distance": plain(inverse_distance),
     "linear (Delaunay)": plain(linear),
     "RBF": plain(rbf),
-    "lobe and inverse distance": own,
+    "lobes and inverse distance": own,
 }
 
 

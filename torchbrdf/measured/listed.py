@@ -84,9 +84,11 @@ class ListedFormat(BrdfFormat):
             raise DataError(f"{path}: expected samples, found none")
         values, words = in_colors(listed, self.setting("illuminant", DEFAULT_ILLUMINANT))
         wi, wo = listed.directions()
+        for one in (wi, wo):
+            one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
         with np.errstate(invalid="ignore"):
             values *= _factor(listed.quantity, wo[:, 2])[:, None]
-            valid = (np.minimum(wi[:, 2], wo[:, 2]) > LEAST_COSINE) & (np.abs(values) <= LARGEST_VALUE).all(1)
+            valid = (np.minimum(wi[:, 2], wo[:, 2]) > 0) & (np.abs(values) <= LARGEST_VALUE).all(1)
         if not valid.any():
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}

@@ -1,12 +1,11 @@
 """Values between scattered samples of isotropic materials, and how far the nearest sample is.
 
 Light and viewer can change places, and what is mirrored at the plane of incidence is the same: so a pair of directions
-is a place in three coordinates, of the half and difference angles. Values are compressed (log for large ones, linear
-about 0, for those slightly below), taken apart into a curve over theta_h, the lobe, and the rest, and the rest is
-interpolated by inverse distances (D. Shepard, A Two-dimensional Interpolation Function for Irregularly-spaced Data,
-1968, doi:10.1145/800186.810616, with the weights of R. Franke and G. Nielson, Smooth Interpolation of Large Sets of
-Scattered Data, 1980, doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that are left out:
-benchmarks/scattered.py.
+is a place in three coordinates, of the half and difference angles. A sum of lobes is fitted to the samples, of given
+widths and with heights that are not negative. How far values are from it, compressed (log for large values, linear
+about 0, for those slightly below), is a curve over theta_h and a rest, and the rest is interpolated by inverse
+distances (R. Franke and G. Nielson, Smooth Interpolation of Large Sets of Scattered Data, 1980,
+doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that are left out: benchmarks/scattered.py.
 """
 
 import math
@@ -14,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import nnls
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional
@@ -25,15 +25,15 @@ NEIGHBOURS = 12
 _BINS = 40
 # How much of the lobe's coordinate counts beside the difference angle's: lobes are narrow, and change little with it.
 _HALF = 2.0
-# Values times (cos_i cos_o)^_FALL vary less towards the horizon; cosines below _LEAST count as it.
-_FALL, _LEAST = 0.25, 0.02
+# Of GGX lobes, alpha; cosines below _LEAST count as it. So many samples are enough to find their heights.
+_WIDTHS, _LEAST, _FITTED = np.geomspace(0.02, 0.7, 9), 0.02, 20_000
 # Samples nearer than so much, in the coordinates, are repetitions, and their mean counts.
 _SAME = 1e-4
 _TINY = 1e-9
 
 
 class Angles(NamedTuple):
-    """Half and difference angles of n pairs, radians, `(n,)` each, and the product of the cosines.
+    """Half and difference angles of n pairs, radians, and the product cos_i cos_o, `(n,)` each.
 
     phi_d is folded to [0, pi/2], by reciprocity and by the mirror.
     """
@@ -67,6 +67,22 @@ class Angles(NamedTuple):
         around = self._arm() * np.cos(2 * self.phi_d) / 2
         return np.stack([_HALF * np.sqrt(self.theta_h), self.theta_d, around], -1)
 
+    def lobes(self) -> np.ndarray:
+        """A constant, and GGX lobes of given widths without and with Schlick's rise of Fresnel's, `(n, L)`, in 1/sr.
+
+        Source: B. Walter et al., Microfacet Models for Refraction through Rough Surfaces, 2007,
+        doi:10.2312/EGWR/EGSR07/195-206; the shadowing is E. Hammon's approximation, PBR Diffuse Lighting for GGX+Smith
+        Microsurfaces, 2017.
+        """
+        cos_h = np.maximum(np.cos(self.theta_h), _LEAST)[:, None]
+        tan2 = 1 / cos_h**2 - 1
+        distribution = _WIDTHS**2 / (math.pi * cos_h**4 * (_WIDTHS**2 + tan2) ** 2)
+        both = 2 * (cos_h * np.cos(self.theta_d)[:, None])  # cos_i + cos_o
+        product = self.cosines[:, None]
+        visible = distribution / (2 * ((1 - _WIDTHS) * 2 * product + _WIDTHS * np.maximum(both, _LEAST)))
+        rise = (1 - np.cos(self.theta_d)[:, None]) ** 5
+        return np.concatenate([np.ones_like(cos_h), visible, visible * rise], -1)
+
     def turned(self) -> np.ndarray:
         """Where distances are those by which both directions turn, `(n, 3)`, degrees."""
         found: np.ndarray = np.stack([self.theta_h, self.theta_d, self._arm() * self.phi_d], -1) * (180 / math.pi)
@@ -74,11 +90,12 @@ class Angles(NamedTuple):
 
 
 class Near(NamedTuple):
-    """What values are made of at n pairs: places with their weights, `(n, k)`, and the pairs' angles."""
+    """What values are made of at n pairs: places with their weights, `(n, k)`, theta_h, `(n,)`, and lobes, `(n, L)`."""
 
     index: Tensor
     weight: Tensor
-    angles: Angles
+    theta_h: np.ndarray
+    lobes: np.ndarray
 
 
 class Places:
@@ -95,8 +112,7 @@ class Places:
         key = np.ravel_multi_index(tuple(steps.T), tuple(steps.max(0) + 1))
         _, self.of_sample = np.unique(key, return_inverse=True)
         self.count = np.bincount(self.of_sample)
-        self.theta_h = self.mean(angles.theta_h)
-        self.cosines = self.mean(angles.cosines)
+        self.angles = Angles(*(self.mean(one) for one in angles))
         self._tree = KDTree(np.stack([self.mean(axis) for axis in found.T], -1))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
@@ -113,14 +129,13 @@ class Places:
         reach = distance[:, -1:] * 1.05
         weight = np.square(1 / distance - 1 / reach)
         weight /= weight.sum(1, keepdims=True)
-        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles)
+        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles.theta_h, angles.lobes())
 
 
 class Surface:
     """Values of one material at places, and between them.
 
-    Beyond all samples the curve over theta_h goes on, times the mean of the nearest places' rest, and rises towards the
-    horizon with (cos_i cos_o)^(-1/4).
+    Beyond all samples the fitted lobes go on, times what the nearest places are off from them.
 
     Args:
         places: Where the samples are.
@@ -128,24 +143,37 @@ class Surface:
     """
 
     def __init__(self, places: Places, values: np.ndarray) -> None:
-        rising = places.cosines[:, None] ** _FALL
-        mean = np.stack([places.mean(channel) for channel in values.T], -1) * rising
+        mean = np.stack([places.mean(channel) for channel in values.T], -1)
         size = np.abs(mean)
         self.scale = max(float(np.quantile(size, 0.02)), 1e-3 * float(size.mean()), 1e-30)
-        compressed = np.arcsinh(mean / (2 * self.scale))
-        self._knots, self._lobe = _curve(np.sqrt(places.theta_h), compressed)
-        self.rest = torch.from_numpy(compressed - self._along(places.theta_h))
+        lobes = places.angles.lobes()
+        some = slice(None, None, max(1, len(mean) // _FITTED))
+        self._heights = np.stack([_heights(lobes[some], channel[some], self.scale) for channel in mean.T], -1)
+        off = self._compressed(mean) - self._compressed(lobes @ self._heights)
+        self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
+        self._rest = torch.from_numpy(off - self._along(places.angles.theta_h))
+
+    def _compressed(self, values: np.ndarray) -> np.ndarray:
+        found: np.ndarray = np.arcsinh(values / (2 * self.scale))
+        return found
 
     def _along(self, theta_h: np.ndarray) -> np.ndarray:
         place = np.sqrt(theta_h)
-        return np.stack([np.interp(place, self._knots, channel) for channel in self._lobe.T], -1)
+        return np.stack([np.interp(place, self._knots, channel) for channel in self._curve.T], -1)
 
     def at(self, near: Near) -> np.ndarray:
         """Values at pairs whose near places are known, `(n, C)`, in 1/sr."""
-        rest = functional.embedding_bag(near.index, self.rest, per_sample_weights=near.weight, mode="sum")
-        compressed = self._along(near.angles.theta_h) + rest.numpy()
-        found: np.ndarray = 2 * self.scale * np.sinh(compressed) / near.angles.cosines[:, None] ** _FALL
+        rest = functional.embedding_bag(near.index, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
+        smooth = self._compressed(near.lobes @ self._heights) + self._along(near.theta_h)
+        found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
         return found
+
+
+def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
+    """How high lobes are, none below 0, for the least relative error, `(L,)`."""
+    weight = 1 / (np.maximum(values, 0) + 4 * scale)
+    found: np.ndarray = nnls(lobes * weight[:, None], values * weight)[0]
+    return found
 
 
 def _curve(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
