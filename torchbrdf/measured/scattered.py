@@ -143,7 +143,7 @@ class Surface:
     """
 
     def __init__(self, places: Places, values: np.ndarray) -> None:
-        mean = np.stack([places.mean(channel) for channel in values.T], -1)
+        self.mean = mean = np.stack([places.mean(channel) for channel in values.T], -1)
         size = np.abs(mean)
         self.scale = max(float(np.quantile(size, 0.02)), 1e-3 * float(size.mean()), 1e-30)
         lobes = places.angles.lobes()
@@ -162,7 +162,9 @@ class Surface:
         return np.stack([np.interp(place, self._knots, channel) for channel in self._curve.T], -1)
 
     def at(self, near: Near) -> np.ndarray:
-        """Values at pairs whose near places are known, `(n, C)`, in 1/sr."""
+        """Values at pairs whose near places are known, `(n, C)`, in 1/sr; of one place those of its samples."""
+        if near.index.shape[1] == 1:
+            return self.mean[near.index[:, 0].numpy()]
         rest = functional.embedding_bag(near.index, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
         smooth = self._compressed(near.lobes @ self._heights) + self._along(near.theta_h)
         found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
