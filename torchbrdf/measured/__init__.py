@@ -5,6 +5,7 @@ from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_
 from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
+from torchbrdf.measured.fred import Fred
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import Measured, Samples
@@ -14,6 +15,7 @@ from torchbrdf.measured.plausibility import Plausibility, check, directional_alb
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
     "FORMATS",
@@ -23,6 +25,7 @@ __all__ = [
     "Astm",
     "BrdfFormat",
     "Cornell",
+    "Fred",
     "Lookup",
     "Measured",
     "Merl",
@@ -30,6 +33,7 @@ __all__ = [
     "Rgl",
     "Samples",
     "StandIn",
+    "Zemax",
     "check",
     "contrast_gloss",
     "describe",

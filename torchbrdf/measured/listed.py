@@ -17,6 +17,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.measured.angles import UNITS, direction
 from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, ILLUMINANTS, colors_label, rgb_weights
 from torchbrdf.measured.format import BrdfFormat, reopened
+from torchbrdf.measured.summary import summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -148,7 +149,8 @@ class ListedFormat(BrdfFormat):
 
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
-        return dict(self._read[material][-1])
+        wi, wo, values, valid, facts = self._read[material]
+        return {**facts, **summary(wi.numpy(), wo.numpy(), values.numpy(), valid.numpy())}
 
 
 _AS_IT_IS = "RGB as the file has it"
