@@ -46,7 +46,7 @@ class Fred(ListedFormat):
             if line and line[0] != "#":
                 if len(words) not in (2, 3) or (len(words) == 3 and not light):
                     raise DataError(
-                        f"{path}: line {number}: expected a light's two angles or a row of 3, found {shown(line)}"
+                        f"{path}: line {number}: expected two angles of a light, or a row of 3, found {shown(line)}"
                     )
                 if len(words) == 2:
                     light = words

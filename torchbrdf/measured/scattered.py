@@ -148,7 +148,7 @@ class Surface:
         self.scale = max(float(np.quantile(size, 0.02)), 1e-3 * float(size.mean()), 1e-30)
         lobes = places.angles.lobes()
         some = slice(None, None, max(1, len(mean) // _FITTED))
-        self._heights = np.stack([_heights(lobes[some], channel[some], self.scale) for channel in mean.T], -1)
+        self._heights = _heights(lobes[some], mean[some], self.scale)
         off = self._compressed(mean) - self._compressed(lobes @ self._heights)
         self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
         self._rest = torch.from_numpy(off - self._along(places.angles.theta_h))
@@ -172,8 +172,20 @@ class Surface:
 
 
 def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
-    """How high lobes are, none below 0, for the least relative error, `(L,)`."""
-    weight = 1 / (np.maximum(values, 0) + 4 * scale)
+    """How high lobes are, none below 0, for the least relative error, `(L, C)`.
+
+    What rises towards the horizon is the same in all channels, as Fresnel's reflection nearly is: each channel's own
+    would make colours of noise there.
+    """
+    white = slice(1 + len(_WIDTHS), None)
+    rise = _nonnegative(lobes, values.mean(1), scale)[white]
+    own = [_nonnegative(lobes[:, : white.start], one - lobes[:, white] @ rise, scale, one) for one in values.T]
+    return np.stack([np.concatenate([one, rise]) for one in own], -1)
+
+
+def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.ndarray | None = None) -> np.ndarray:
+    """Heights `(L,)` for values `(n,)`, a part of whole ones that errors are relative to."""
+    weight = 1 / (np.maximum(values if whole is None else whole, 0) + 4 * scale)
     found: np.ndarray = nnls(lobes * weight[:, None], values * weight)[0]
     return found
 
