@@ -1,5 +1,7 @@
 """Files of scattered samples as instruments write them, made up; the BRDF that they hold is known."""
 
+import json
+
 import numpy as np
 
 BANDS = (465.0, 525.0, 630.0)
@@ -65,6 +67,26 @@ def cornell(rows=None):
         "",
     ]
     return "\n".join([*head, *(" ".join(f"{one:.9f}" for one in row) for row in table)]) + "\n"
+
+
+def columns(rows=None, mark=","):
+    """Text of named columns."""
+    rows = angles() if rows is None else rows
+    table = np.concatenate([rows[:, [2, 0]], rows[:, 3:] - rows[:, 1:2], values(rows)], 1)
+    lines = [mark.join(f"{one:.9g}" for one in row) for row in table]
+    return "\n".join(["# made up", mark.join(["theta_o", "theta_i", "phi", "r", "g", "b"]), *lines]) + "\n"
+
+
+def bird(rows=None):
+    """Text of a BiRD file: two bands that reflect alike, light of each twice."""
+    rows = angles() if rows is None else rows
+    every = rows.repeat(4, 0)
+    names = ("theta_i", "phi_i", "theta_r", "phi_r")
+    data = {name: {"unit": "\u00b0", "values": column.tolist()} for name, column in zip(names, every.T, strict=True)}
+    data["wavelength_i"] = {"unit": "nm", "values": [500, 500, 600, 600] * len(rows)}
+    level = values(every)[:, 0] * np.tile([0.5, 1.5, 0.5, 1.5], len(rows))
+    data["BRDF"] = {"unit": "sr^-1", "values": level.tolist()}
+    return json.dumps({"metadata": {"schema": "https://example.org/brdf_json_schema_v1.0.json"}, "data": data})
 
 
 def fred(rows=None):

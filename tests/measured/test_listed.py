@@ -7,13 +7,13 @@ import tarfile
 import numpy as np
 import pytest
 import torch
-from helpers.listed_files import BANDS, COLOR, angles, astm, cornell, fred, known, zemax
+from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, zemax
 
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.measured import describe, load
 from torchbrdf.measured.bands import rgb_weights
 
-TEXTS = {"astm": astm, "cornell": cornell, "fred": fred, "zemax": zemax}
+TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
 
 
 def written(folder, text, name="made-up.dat"):
@@ -44,6 +44,7 @@ def test_values_are_where_they_were_measured(name, tmp_path):
     assert measured.source.format == name
     scale = torch.tensor(COLOR @ rgb_weights(BANDS)) if name == "astm" else torch.tensor([COLOR[0]] * 3)
     scale = torch.ones(3, dtype=torch.float64) if name in ("cornell", "zemax") else scale
+    scale = torch.tensor(COLOR) if name == "columns" else scale
     good = measured.weight[0, :, 0] > 0
     assert good.sum() > 100
     wanted = expected(measured)[:, None] * scale
@@ -156,6 +157,12 @@ def test_bad_astm_files_are_refused(kind, tmp_path):
         (cornell().replace("600 700", "600"), "# wls: expected 4 growing wavelengths"),
         (fred().replace("angles=deg", "angles=gon"), "expected angles=deg or angles=rad"),
         (fred() + "1 2 3 4\n", "expected two angles of a light, or a row of 3"),
+        (columns().replace("phi", "chi"), "expected a column phi, or phi_i and phi_o"),
+        (columns().replace("r,g,b", "x,y,z"), "expected r, g, b, or bands such as 465nm, or f"),
+        (columns().replace("r,g,b", "r,g,g"), "expected each column once"),
+        (bird().replace('"sr^-1"', '"%"'), "expected angles in"),
+        (bird().replace('"theta_r"', '"theta_x"'), "theta_r"),
+        (bird().replace('"unit": "nm"', '"unit": "m"'), "wavelength: expected nm"),
         (zemax().replace("BRDF", "BTDF"), "ScatterType: expected BRDF, found 'BTDF'"),
         (zemax().replace("TIS\t0.1\n", "TIS\t0.1\n1 2 3\n", 1), "expected 10 numbers, found 3"),
         (
@@ -187,6 +194,19 @@ def test_files_of_one_geometry_share_their_pairs(tmp_path):
     three = load(tmp_path)
     assert three.pairs.shape[0] == 3 == len(three)
     torch.testing.assert_close(three.batch([0]).at(both.pairs), both.batch([0]).at(both.pairs))
+
+
+def test_columns_in_an_npz_and_with_decimal_commas(tmp_path):
+    plain = opened(tmp_path, columns())
+    table = np.loadtxt(tmp_path / "made-up.dat", delimiter=",", skiprows=2)
+    np.savez(tmp_path / "x.npz", **dict(zip(["theta_o", "theta_i", "phi", "r", "g", "b"], table.T, strict=True)))
+    assert torch.equal(load(tmp_path / "x.npz", dtype=torch.float64).values, plain.values)
+    commas = columns(mark=";").replace(".", ",")
+    assert torch.equal(load(written(tmp_path, commas, "commas"), dtype=torch.float64).values, plain.values)
+    assert describe(tmp_path / "commas")["mended"] == "decimal commas"
+    np.savez(tmp_path / "x.npz", theta_i=np.zeros(3), theta_o=np.zeros(2), phi=np.zeros(3), f=np.ones(3))
+    with pytest.raises(DataError, match=r"x\.npz: 'theta_o': expected 3 numbers"):
+        load(tmp_path / "x.npz")
 
 
 def test_real_paints(data, tmp_path):

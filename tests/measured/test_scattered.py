@@ -118,9 +118,8 @@ def test_energy_of_what_continues_beyond_the_samples():
 
 
 def test_readings_that_were_not_measured(caplog):
-    few = sampled(
-        GLOSSY, Pairs.from_half_diff(*torch.full((3, 1, 60), 1.2).double() + torch.rand(3, 1, 60).double() / 20)
-    )
+    spread = torch.rand(3, 1, 60, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) / 20
+    few = sampled(GLOSSY, Pairs.from_half_diff(*(spread + torch.tensor([0.9, 0.5, 1.2]).double()[:, None, None])))
     assert not few.has_45_0.any() and distinctness_of_image(few).isnan().all() and contrast_gloss(few).isnan().all()
     result = fit(make_model("ward", 1), few, make_loss("rms"))
     assert result.diffuse == "fit"

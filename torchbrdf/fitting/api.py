@@ -140,9 +140,7 @@ def fit(
     model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
     if diffuse == "45:0" and not (near := measured.has_45_0).all():
         name = measured.names[int(near.logical_not().nonzero()[0])]
-        log.warning(
-            "torchbrdf: %s: no sample is near the 45:0 reading; the diffuse albedo is fitted with the rest", name
-        )
+        log.warning("torchbrdf: %s: no sample is near the 45:0 reading; the diffuse albedo is fitted, too", name)
         diffuse = "fit"
     if diffuse == "45:0":
         _set_diffuse(model, measured)

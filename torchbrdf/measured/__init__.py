@@ -1,7 +1,9 @@
 """Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
 
 from torchbrdf.measured.astm import Astm
+from torchbrdf.measured.bird import Bird
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
+from torchbrdf.measured.columns import Columns
 from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
@@ -23,7 +25,9 @@ __all__ = [
     "MERL_SHA256",
     "PAPER_TEN",
     "Astm",
+    "Bird",
     "BrdfFormat",
+    "Columns",
     "Cornell",
     "Fred",
     "Lookup",

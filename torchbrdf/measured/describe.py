@@ -8,8 +8,13 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.lobes.zoo import is_zoo
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.listed import ListedFormat
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.plausibility import directional_albedo
+
+FURNACE = (0.0, 60.0)
+"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect: the largest channel."""
 
 
 def describe(path: str | Path) -> dict[str, object]:
@@ -44,11 +49,17 @@ def _material(measured: Measured) -> dict[str, object]:
         "valid samples": int(valid.sum()),
         "lowest value, 1/sr": values[valid].amin(0).tolist(),
         "highest value, 1/sr": values[valid].amax(0).tolist(),
-        "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist(),
+        "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist() if measured.has_45_0.all() else None,
         "distinctness of image, degrees": _finite(distinctness_of_image(measured)[0].item()),
         "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
-    return facts | measured.source.details(measured.materials[0])
+    facts |= measured.source.details(measured.materials[0])
+    if isinstance(measured.source, ListedFormat):
+        albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
+        facts |= {
+            f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)
+        }
+    return facts
 
 
 def _finite(value: float) -> float | None:

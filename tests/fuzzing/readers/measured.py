@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from helpers.listed_files import angles, astm, cornell, fred, zemax
+from helpers.listed_files import angles, astm, bird, columns, cornell, fred, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
@@ -44,6 +44,14 @@ def make_fred(folder: Path) -> None:
 
 def make_zemax(folder: Path) -> None:
     (folder / "fuzzed.bsdf").write_text(zemax())
+
+
+def make_columns(folder: Path) -> None:
+    (folder / "fuzzed.csv").write_text(columns(angles(20)))
+
+
+def make_bird(folder: Path) -> None:
+    (folder / "fuzzed.brdf").write_text(bird(angles(30)))
 
 
 def use_listed(path: Path) -> None:
@@ -138,6 +146,8 @@ READERS = (
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
+    Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
+    Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
