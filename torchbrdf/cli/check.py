@@ -3,7 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say
+from torchbrdf.cli.common import Commands, Options, add_reading, described, load_files, progress_bar, read_settings, say
 from torchbrdf.errors import DataError
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def add(commands: Commands) -> None:
     parser = described(commands.add_parser("check", help="energy, reciprocity, negative values"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
     parser.add_argument("--out", help="a folder for albedo.png and check.json")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -37,7 +38,7 @@ def command(options: Options) -> int:
 
     out = writable(options.out) if options.out else None
     names = [destination(out / name) for name in ("albedo.png", "check.json")] if out else []
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     found: list[Plausibility] = []
     todo = [group.batch([k]) for group in groups for k in range(len(group))]
     progress = progress_bar("materials")

@@ -4,7 +4,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
-from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, short, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_reading,
+    described,
+    load_files,
+    number,
+    progress_bar,
+    read_settings,
+    short,
+    whole,
+)
 from torchbrdf.errors import UsageError
 from torchbrdf.registry import unknown
 
@@ -84,6 +95,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
     )
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -111,7 +123,7 @@ def command(options: Options) -> int:
             destination(out / name)
         if (out / FITS).exists():
             read_fits(out / FITS)
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     batches = Batches(

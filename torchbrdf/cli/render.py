@@ -1,6 +1,17 @@
 """`torchbrdf render`."""
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, number, progress_bar, say, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_reading,
+    described,
+    load_files,
+    number,
+    progress_bar,
+    read_settings,
+    say,
+    whole,
+)
 from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
@@ -35,6 +46,7 @@ def add(commands: Commands) -> None:
         "--backend", default="auto", help="pyrender (OpenGL), software, or auto (default): OpenGL where it works"
     )
     parser.add_argument("--out", default=".", help="folder for the pictures (default: here)")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -59,7 +71,7 @@ def command(options: Options) -> int:
         shadows=options.shadows,
         backend=options.backend,
     )
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     for path, label in draw_groups(out, groups, scene, progress_bar("pixels")):

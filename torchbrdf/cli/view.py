@@ -2,7 +2,17 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, progress_bar, say, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_reading,
+    described,
+    load_files,
+    progress_bar,
+    read_settings,
+    say,
+    whole,
+)
 from torchbrdf.errors import UsageError
 
 DESCRIPTION = """\
@@ -30,6 +40,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--out", default="view.html", help="the page (default: view.html)")
     parser.add_argument("--open", action="store_true", help="open it in the browser")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -47,7 +58,7 @@ def command(options: Options) -> int:
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
     names = number_repeats([clean_name(Path(name).stem) for name in options.environment], " #")
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     write_viewer(

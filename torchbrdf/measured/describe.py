@@ -1,6 +1,7 @@
 """What there is to say about a file of measured BRDFs."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -14,14 +15,15 @@ from torchbrdf.measured.measured import Measured
 from torchbrdf.measured.plausibility import directional_albedo
 
 FURNACE = (0.0, 60.0)
-"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect: the largest channel."""
+"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect, in any channel."""
 
 
-def describe(path: str | Path) -> dict[str, object]:
+def describe(path: str | Path, settings: Mapping[str, str] | None = None) -> dict[str, object]:
     """Facts about one file of measured BRDFs: sizes, validity, diffuse albedo, gloss, range of values.
 
     Args:
         path: The file; or a name in the zoo, such as `zoo:nickel`.
+        settings: What the file does not say, as of `load`.
 
     Returns:
         Facts by name, in an order to print. Lists have one entry a channel, figures that do not exist are None, and
@@ -30,7 +32,7 @@ def describe(path: str | Path) -> dict[str, object]:
     Raises:
         DataError: The file is no measured BRDF.
     """
-    measured = load(path, dtype=torch.float64)
+    measured = load(path, dtype=torch.float64, settings=settings)
     facts: dict[str, object] = {
         "format": measured.source.format,
         **({} if is_zoo(path) else {"bytes": Path(path).stat().st_size}),
