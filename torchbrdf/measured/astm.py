@@ -8,6 +8,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.format import FORMATS
@@ -72,9 +74,9 @@ class Astm(ListedFormat):
         polar, azimuth = (rows.numbers[:, [names.index(f"{name}_{end}") for end in "is"]] for name in ("theta", "phi"))
         factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
         facts["angles"] = unit
-        angles = (column[name] * factor for name in _ANGLES)
+        angles = np.stack([column[name] * factor for name in _ANGLES], -1)
         values = rows.numbers[:, bands]
-        return Listed(*angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
 
 
 def _split(text: str) -> list[str]:

@@ -63,7 +63,8 @@ class Bird(ListedFormat):
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
-        data = read_json(path, _Document, _EXPECTED).data
+        document: _Document = read_json(path, _Document, _EXPECTED)
+        data = document.data
         named = {"theta_i": data.theta_i, "phi_i": data.phi_i, "theta_r": data.theta_r, "phi_r": data.phi_r}
         count = len(data.brdf.values)
         length = data.wavelength_i or data.wavelength_r
@@ -81,7 +82,7 @@ class Bird(ListedFormat):
         facts: dict[str, object] = {"angles": unit}
         values = np.array(data.brdf.values, np.float64)
         if not length or not count:
-            return Listed(*(angles * factor).T, values[:, None], None, facts=facts)
+            return Listed(angles * factor, values[:, None], None, facts=facts)
         lengths = np.array(length.values, np.float64) * _LENGTH_UNITS[length.unit]
         places, own = np.unique(angles, axis=0, return_inverse=True)
         bands, band = np.unique(lengths, return_inverse=True)
@@ -94,4 +95,4 @@ class Bird(ListedFormat):
             table = np.bincount(cell, values, size) / repeats
         if repeats.max() > 1:
             facts["repetitions"] = f"{count} values of {int((repeats > 0).sum())}: their means, as of polarizations"
-        return Listed(*(places * factor).T, table.reshape(-1, len(bands)), bands.tolist(), facts=facts)
+        return Listed(places * factor, table.reshape(-1, len(bands)), bands.tolist(), facts=facts)

@@ -63,8 +63,8 @@ class Columns(ListedFormat):
         rest = [name for name in names if name not in (*_NEEDED, "phi", "phi_i", "phi_o")]
         order, wavelengths = _bands(path, rest)
         values = np.stack([column[name] for name in order], -1)
-        angles = (one * factor for one in (polar[:, 0], phi_i, polar[:, 1], phi_o))
-        return Listed(*angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
+        angles = factor * np.stack([polar[:, 0], phi_i, polar[:, 1], phi_o], -1)
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
 
 
 def _names(line: str) -> list[str]:

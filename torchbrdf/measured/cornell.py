@@ -58,9 +58,9 @@ class Cornell(ListedFormat):
             raise DataError(f"{path}: # wls: expected {count} growing wavelengths, found {shown(' '.join(words), 90)}")
         rows = parse_rows(path, lines[at:], 4 + count, at + 1)
         factor, unit = in_radians(path, rows.numbers[:, 0:4:2], rows.numbers[:, 1:4:2], self.setting("angles", "auto"))
-        facts: dict[str, object] = {"angles": unit} | ({"mended": rows.mended} if rows.mended else {})
-        angles = (rows.numbers[:, k] * factor for k in range(4))
-        return Listed(*angles, rows.numbers[:, 4:], wavelengths, self.setting("quantity", "brdf"), facts)
+        facts = {"angles": unit} | ({"mended": rows.mended} if rows.mended else {})
+        angles, values = rows.numbers[:, :4] * factor, rows.numbers[:, 4:]
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
 
 
 def _numbers(words: list[str]) -> list[float] | None:

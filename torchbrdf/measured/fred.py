@@ -54,6 +54,6 @@ class Fred(ListedFormat):
                     rows.append(" ".join([*light, *words]))
         found = parse_rows(path, rows, 5, at + 2).numbers
         factor, unit = in_radians(path, found[:, [0, 2]], found[:, [1, 3]], _UNITS[said["angles"]])
-        theta_i, phi_i, theta_o, phi_o = (found[:, k] * factor for k in range(4))
+        angles = found[:, :4] * factor + np.array([0, np.pi, 0, 0])
         facts = {"angles": f"{unit}; the mirror direction has the light's azimuth"}
-        return Listed(theta_i, phi_i + np.pi, theta_o, phi_o, found[:, 4:] * scale, None, facts=facts)
+        return Listed(angles, found[:, 4:] * scale, None, facts=facts)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -36,20 +36,15 @@ class Listed:
     """What one file says.
 
     Args:
-        theta_i: Angle between the normal and the light, radians, `(N,)`; below 0 on the other side.
-        phi_i: Azimuth of the light, radians, `(N,)`.
-        theta_o: Angle between the normal and the viewer, radians, `(N,)`.
-        phi_o: Azimuth of the viewer, radians, `(N,)`.
+        angles: theta_i and phi_i of the light, theta_o and phi_o of the viewer, radians, `(N, 4)`; a theta below 0 is
+            on the other side.
         values: What was measured, `(N, W)`, nan where nothing was.
         wavelengths: Of the bands, nm, growing, W; None for linear RGB.
         quantity: What the values are, one of `QUANTITIES`.
         facts: What else the file, or how it was read, has to say, by name.
     """
 
-    theta_i: np.ndarray
-    phi_i: np.ndarray
-    theta_o: np.ndarray
-    phi_o: np.ndarray
+    angles: np.ndarray
     values: np.ndarray
     wavelengths: Sequence[float] | None
     quantity: str = "brdf"
@@ -57,7 +52,18 @@ class Listed:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors to the light and to the viewer, `(N, 3)`."""
-        return direction(self.theta_i, self.phi_i), direction(self.theta_o, self.phi_o)
+        theta_i, phi_i, theta_o, phi_o = self.angles.T
+        return direction(theta_i, phi_i), direction(theta_o, phi_o)
+
+
+class _Opened(NamedTuple):
+    """What was read of one file: directions, values and validity of N samples, and facts."""
+
+    wi: Tensor
+    wo: Tensor
+    values: Tensor
+    valid: Tensor
+    facts: dict[str, object]
 
 
 class ListedFormat(BrdfFormat):
@@ -79,7 +85,7 @@ class ListedFormat(BrdfFormat):
         self.told = dict(settings or {})
         self._read = [self._opened(path) for path in paths]
 
-    def _opened(self, path: Path) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, object]]:
+    def _opened(self, path: Path) -> _Opened:
         listed = self.parse(path)
         if not len(listed.values):
             raise DataError(f"{path}: expected samples, found none")
@@ -94,7 +100,8 @@ class ListedFormat(BrdfFormat):
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         values[~valid] = 0
-        return *(torch.from_numpy(one) for one in (wi, wo, values, valid)), facts
+        toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
+        return _Opened(toward, seen, found, good, facts)
 
     @classmethod
     def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "ListedFormat":
@@ -105,7 +112,7 @@ class ListedFormat(BrdfFormat):
 
     def _announce(self) -> None:
         """Say once how bands became colours, where they are so few that others would have been as good."""
-        said = {facts["colours"]: path for path, (*_, facts) in zip(self.paths[::-1], self._read[::-1], strict=True)}
+        said = {one.facts["colours"]: path for path, one in zip(self.paths[::-1], self._read[::-1], strict=True)}
         for words, path in said.items():
             if words != _AS_IT_IS:
                 log.info("torchbrdf: %s: colours: %s", path, words)
@@ -126,16 +133,18 @@ class ListedFormat(BrdfFormat):
     def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
         """Pairs `(1, N)` where all files have the same, else `(M, N)`; values `(M, N, 3)` and weights `(M, N, 1)`."""
         first = self._read[0]
-        shared = all(torch.equal(one[0], first[0]) and torch.equal(one[1], first[1]) for one in self._read[1:])
-        values, valid = (pad_sequence([one[k] for one in self._read], batch_first=True) for k in (2, 3))
+        shared = all(torch.equal(one.wi, first.wi) and torch.equal(one.wo, first.wo) for one in self._read[1:])
+        values = pad_sequence([one.values for one in self._read], batch_first=True)
+        weight = pad_sequence([one.valid for one in self._read], batch_first=True)[..., None].double()
         if shared:
-            return Pairs.from_directions(first[0][None], first[1][None]), values, valid[..., None].double()
-        wi, wo = (pad_sequence([one[k] for one in self._read], batch_first=True) for k in (0, 1))
+            return Pairs.from_directions(first.wi[None], first.wo[None]), values, weight
+        wi = pad_sequence([one.wi for one in self._read], batch_first=True)
+        wo = pad_sequence([one.wo for one in self._read], batch_first=True)
         padding = wi.square().sum(-1) == 0
         wi[..., 2] += padding  # seen from below the horizon, as nothing that counts as measured or as missing
         wo[..., 0] += 0.8 * padding
         wo[..., 2] -= 0.6 * padding
-        return Pairs.from_directions(wi, wo), values, valid[..., None].double()
+        return Pairs.from_directions(wi, wo), values, weight
 
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]

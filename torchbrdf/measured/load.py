@@ -155,7 +155,9 @@ def _opened(name: str, paths: Sequence[Path], settings: Mapping[str, str] | None
     """The source of some files; whatever a reader of another package raises is an error that names the first."""
     own = {key: value for key, value in (settings or {}).items() if key in FORMATS[name].settings}
     with reading(paths[0], f"a measured BRDF of the format {name}"):
-        return FORMATS[name].open(paths, own) if own else FORMATS[name].open(paths)
+        if own:  # which only those have that take them
+            return FORMATS[name].open(paths, own)  # type: ignore[call-arg]
+        return FORMATS[name].open(paths)
 
 
 def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> None:

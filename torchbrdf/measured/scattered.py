@@ -92,7 +92,7 @@ class Angles(NamedTuple):
 class Near(NamedTuple):
     """What values are made of at n pairs: places with their weights, `(n, k)`, theta_h, `(n,)`, and lobes, `(n, L)`."""
 
-    index: Tensor
+    places: Tensor
     weight: Tensor
     theta_h: np.ndarray
     lobes: np.ndarray
@@ -163,9 +163,9 @@ class Surface:
 
     def at(self, near: Near) -> np.ndarray:
         """Values at pairs whose near places are known, `(n, C)`, in 1/sr; of one place those of its samples."""
-        if near.index.shape[1] == 1:
-            return self.mean[near.index[:, 0].numpy()]
-        rest = functional.embedding_bag(near.index, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
+        if near.places.shape[1] == 1:
+            return self.mean[near.places[:, 0].numpy()]
+        rest = functional.embedding_bag(near.places, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
         smooth = self._compressed(near.lobes @ self._heights) + self._along(near.theta_h)
         found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
         return found

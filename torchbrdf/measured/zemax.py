@@ -63,7 +63,8 @@ class Zemax(ListedFormat):
         theta_o = np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2])
         turn, light = -rotation.reshape(-1), incidence.reshape(-1)
         phi_o = np.arctan2(wo[:, 1], wo[:, 0]) + turn
-        return Listed(light, turn, theta_o, phi_o, values.reshape(-1, 1), None, self.setting("quantity", "brdf"), facts)
+        angles = np.stack([light, turn, theta_o, phi_o], -1)
+        return Listed(angles, values.reshape(-1, 1), None, self.setting("quantity", "brdf"), facts)
 
 
 def _axis(path: Path, lines: list[str], name: str) -> np.ndarray:
