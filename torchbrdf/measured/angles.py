@@ -48,8 +48,8 @@ def direction(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     Example:
         >>> import numpy as np
         >>> from torchbrdf.measured.angles import direction
-        >>> direction(np.array(-np.pi / 2), np.array(0.0)).round(3).tolist()
-        [-1.0, 0.0, 0.0]
+        >>> direction(np.array(-np.pi / 2), np.array(0.5)).round(2).tolist()
+        [-0.88, -0.48, 0.0]
     """
     sine = np.sin(polar)
     return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)

@@ -48,7 +48,7 @@ def color_matching(wavelength: np.ndarray) -> np.ndarray:
         >>> import numpy as np
         >>> from torchbrdf.measured.bands import color_matching
         >>> color_matching(np.array(555.0)).round(2).tolist()
-        [0.51, 1.0, 0.01]
+        [0.52, 1.0, 0.01]
     """
     wavelength = np.asarray(wavelength, dtype=np.float64)
 
