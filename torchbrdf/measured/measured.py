@@ -327,9 +327,14 @@ class Measured:
         Args:
             pairs: As of `at`.
         """
-        if self.stand_in or type(self.source).at is not BrdfFormat.at:
+        if not self.is_scattered:
             return torch.ones(len(self), dtype=torch.bool, device=self.device)
         return (self.distance_at(pairs) <= FAR).all(-1).to(self.device)
+
+    @property
+    def is_scattered(self) -> bool:
+        """Whether values are interpolated between samples without a grid."""
+        return type(self.source).at is BrdfFormat.at
 
     @property
     def has_45_0(self) -> Tensor:

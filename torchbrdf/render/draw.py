@@ -36,7 +36,8 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     Args:
         brdf: A Lobe (batched or not), a Measured, or anything that gives values in 1/sr, `(m, N, 3)` or `(N, 3)`, on
             Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once; from
-            four pictures of lobes and materials on by the scene's transport, where these are reciprocal.
+            four pictures of lobes and materials on, and for scattered samples, by the scene's transport, where all are
+            reciprocal.
         scene: What is drawn.
         progress: Is called with what is done and what there is to do as the work goes on.
 
@@ -62,8 +63,13 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
 
 
 def worth_a_transport(brdfs: Iterable[Lobe | Measured], pictures: int) -> bool:
-    """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be."""
-    return pictures >= SEVERAL and all(map(is_reciprocal, brdfs))
+    """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be.
+
+    Values between scattered samples take so long that even one picture of those is.
+    """
+    brdfs = list(brdfs)
+    slow = any(isinstance(one, Measured) and one.is_scattered for one in brdfs)
+    return (slow or pictures >= SEVERAL) and all(map(is_reciprocal, brdfs))
 
 
 def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | None = None) -> Tensor:
