@@ -9,6 +9,7 @@ import pytest
 import torch
 from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, zemax
 
+from torchbrdf.cli import main
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.measured import describe, load
 from torchbrdf.measured.bands import rgb_weights
@@ -237,3 +238,13 @@ def test_real_scatter_of_one_sample_in_two_formats(data):
     near = one.distance_at(other.pairs)[0] < 0.7
     apart = (one.at(other.pairs) / other.values - 1).abs()[0, near, 0]
     assert near.sum() > 100 and apart.median() < 0.05
+
+
+def test_the_command_is_told_what_a_file_does_not_say(tmp_path, capsys):
+    path = str(written(tmp_path, astm()))
+    assert main(["info", path, "--read", "illuminant=E", "--read", "angles=radians"]) == 0
+    said = capsys.readouterr().out
+    assert "under illuminant E" in said and "white furnace: albedo at 60 degrees" in said
+    for wrong, says in (("illuminant=F", "unknown illuminant 'F'"), ("angle", "--read: expected NAME=VALUE")):
+        assert main(["info", path, "--read", wrong]) == 2
+        assert says in capsys.readouterr().err
