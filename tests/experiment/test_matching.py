@@ -102,7 +102,8 @@ def test_another_material_of_the_same_name_is_refused(tmp_path, nickel, scenes):
 
 def test_what_cannot_be_matched_leaves_the_others_be(nickel, scenes):
     angle = torch.rand(1, 50)
-    samples = Measured.from_samples(Pairs.from_half_diff(angle, angle, angle), torch.rand(1, 50, 3), names=["loose"])
+    pairs, none = Pairs.from_half_diff(angle, angle, angle), torch.zeros(1, 50, 1)
+    samples = Measured.from_samples(pairs, torch.rand(1, 50, 3), none, names=["loose"])
     bad = []
     found = find_matches([samples, nickel, nickel], "mitsuba", TINY, scenes=scenes, bad=bad)
     assert [one.material for one in found] == ["nickel"]

@@ -173,12 +173,12 @@ def test_pictures_of_the_same_are_the_same() -> None:
     assert found["delta_e76"] > 1 and found["psnr"] > 0 and found["log_hdr"] > 0
 
 
-def test_samples_have_no_picture(tmp_path: Path) -> None:
+def test_samples_without_a_valid_one_have_no_picture() -> None:
     """What an exporter that needs values elsewhere says."""
     from torchbrdf.pairs import Pairs
 
     angle = torch.tensor([[0.1, 0.2]])
     pairs = Pairs.from_half_diff(angle, angle, angle)
-    measured = Measured.from_samples(pairs, torch.ones(1, 2, 3), names=["made up"])
-    with pytest.raises(DataError, match="these samples have no values between their pairs"):
+    measured = Measured.from_samples(pairs, torch.ones(1, 2, 3), torch.zeros(1, 2, 1), names=["made up"])
+    with pytest.raises(DataError, match="made up: expected valid samples, found none"):
         picture_differences(measured, measured, Scene(sphere(2), size=16, nodes=8, light_samples=16))

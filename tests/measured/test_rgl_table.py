@@ -151,8 +151,9 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     known = Measured.from_samples(pairs, torch.ones(2, 10, 3))
     with pytest.raises(UsageError, match="expected one material, found 2"):
         write_rgl(path, known)
-    with pytest.raises(DataError):
-        write_rgl(path, known.batch([0]))
+    nothing = Measured.from_samples(pairs, torch.ones(1, 10, 3), torch.zeros(1, 10, 1), names=["none"])
+    with pytest.raises(DataError, match="none: expected valid samples, found none"):
+        write_rgl(path, nothing)
     with pytest.raises(UsageError, match="expected one material, found 3"):
         write_rgl(path, Lambert().batched(3))
     with pytest.raises(UsageError, match="size: expected a whole number of at least 4, found 1"):

@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, described, load_files, say
+from torchbrdf.cli.common import Commands, Options, add_reading, described, load_files, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import DataError
 
@@ -28,6 +28,7 @@ def add(commands: Commands) -> None:
     parser = described(commands.add_parser("check", help="energy, reciprocity, negative values"), DESCRIPTION, "files")
     parser.add_argument("files", nargs="+", help="measured BRDFs, or a fits.json")
     parser.add_argument("--out", help="a folder for albedo.png and check.json")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -40,7 +41,7 @@ def command(options: Options) -> int:
 
     out = writable(options.out) if options.out else None
     names = [destination(out / name) for name in ("albedo.png", "check.json")] if out else []
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     found: list[Plausibility] = []
     written: list[dict[str, object]] = []
     todo = [group.batch([k]) for group in groups for k in range(len(group))]

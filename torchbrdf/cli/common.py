@@ -90,12 +90,35 @@ def add_backend(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--backend", default="auto", help=said)
 
 
-def load_files(files: Sequence[str]) -> tuple[list["Measured"], bool]:
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """The option for what files do not say."""
+    parser.add_argument(
+        "--read",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what files do not say: angles=degrees or radians, illuminant=D65 (default) or E, quantity=brdf, "
+        "brdf_cosine or reflectance_factor; may come again",
+    )
+
+
+def read_settings(options: Options) -> dict[str, str]:
+    """What `--read` says, by name."""
+    found = {}
+    for text in options.read:
+        name, mark, value = text.partition("=")
+        if not mark:
+            raise UsageError(f"--read: expected NAME=VALUE, found {shown(text)}")
+        found[name] = value
+    return found
+
+
+def load_files(files: Sequence[str], settings: dict[str, str] | None = None) -> tuple[list["Measured"], bool]:
     """What could be loaded, and whether that is all; the rest is said."""
     from torchbrdf.measured import load_all
 
     bad: list[DataError] = []
-    groups = load_all(files, bad=bad)
+    groups = load_all(files, bad=bad, settings=settings)
     for error in bad:
         print(f"torchbrdf: left out: {error}", file=sys.stderr)
     return groups, not bad

@@ -4,7 +4,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
-from torchbrdf.cli.common import Commands, Options, add_memory, described, load_files, number, short, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_memory,
+    add_reading,
+    described,
+    load_files,
+    number,
+    read_settings,
+    short,
+    whole,
+)
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
 from torchbrdf.kinds import DIFFERENCES, DIFFUSE_MODES, INTERVALS, LOSSES, STRATEGIES, check_model, check_word
@@ -86,6 +97,7 @@ def add(commands: Commands) -> None:
         "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
     )
     add_memory(parser)
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -110,7 +122,7 @@ def command(options: Options) -> int:
             destination(out / name)
         if (out / FITS).exists():
             read_fits(out / FITS)
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     batches = Batches(

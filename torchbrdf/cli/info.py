@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from statistics import fmean
 from typing import Any
 
-from torchbrdf.cli.common import Commands, Options, described, say, short
+from torchbrdf.cli.common import Commands, Options, add_reading, described, read_settings, say, short
 from torchbrdf.errors import DataError, UsageError
 
 DESCRIPTION = """\
@@ -29,6 +29,7 @@ def add(commands: Commands) -> None:
         "--zoo", action="store_true", help="list the models that come with torchbrdf, and how near they are"
     )
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -47,7 +48,7 @@ def command(options: Options) -> int:
     files = find_files(options.files, bad) if options.files else []
     for k, path in enumerate(files):
         try:
-            facts = describe(path)
+            facts = describe(path, read_settings(options))
         except DataError as error:
             bad.append(error)
             continue

@@ -1,6 +1,18 @@
 """`torchbrdf render`."""
 
-from torchbrdf.cli.common import Commands, Options, add_backend, add_memory, described, load_files, number, say, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_backend,
+    add_memory,
+    add_reading,
+    described,
+    load_files,
+    number,
+    read_settings,
+    say,
+    whole,
+)
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
 from torchbrdf.kinds import BACKENDS, check_word
@@ -36,6 +48,7 @@ def add(commands: Commands) -> None:
     add_backend(parser)
     add_memory(parser)
     parser.add_argument("--out", default=".", help="folder for the pictures (default: here)")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -62,7 +75,7 @@ def command(options: Options) -> int:
         shadows=options.shadows,
         backend=options.backend,
     )
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     for path, label in draw_groups(out, groups, scene, progress_bar("pixels")):

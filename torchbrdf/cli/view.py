@@ -2,7 +2,18 @@
 
 from pathlib import Path
 
-from torchbrdf.cli.common import Commands, Options, add_backend, add_memory, described, load_files, say, whole
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_backend,
+    add_memory,
+    add_reading,
+    described,
+    load_files,
+    read_settings,
+    say,
+    whole,
+)
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
 from torchbrdf.kinds import BACKENDS, check_word
@@ -34,6 +45,7 @@ def add(commands: Commands) -> None:
     add_memory(parser)
     parser.add_argument("--out", default="view.html", help="the page (default: view.html)")
     parser.add_argument("--open", action="store_true", help="open it in the browser")
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -53,7 +65,7 @@ def command(options: Options) -> int:
     mesh = find_mesh(options.shape)
     lights = [Environment.find(name) for name in options.environment]
     names = number_repeats([clean_name(Path(name).stem) for name in options.environment], " #")
-    groups, complete = load_files(options.files)
+    groups, complete = load_files(options.files, read_settings(options))
     if not groups:
         return 1
     write_viewer(

@@ -1,5 +1,6 @@
 """Fit a model to measured materials."""
 
+import logging
 import time
 import warnings
 from collections.abc import Callable
@@ -37,6 +38,8 @@ from torchbrdf.parallel import Lost
 from torchbrdf.precision import HALVES, undisturbed
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.solvers import Status
+
+log = logging.getLogger("torchbrdf")
 
 DIFFUSE_MODES = kinds.DIFFUSE_MODES
 
@@ -83,8 +86,9 @@ def fit(
         strategy: a registered one, or one with other options, `GlobalSearch(starts=12)`; "global" finds the best fit,
             "staged" is the paper's procedure.
         diffuse: "45:0" takes the diffuse albedo from the measurement with the light at 45 degrees and the viewer at the
-            normal, and holds it; "fit" moves the model's own with the rest; None is the loss's `default_diffuse`, by
-            what was seen to look right: "fit" for the learned metric and for pictures, "45:0" for all else.
+            normal, and holds it, or does as "fit" where nothing was measured thereabouts; "fit" moves the model's own
+            with the rest; None is the loss's `default_diffuse`, by what was seen to look right: "fit" for the learned
+            metric and for pictures, "45:0" for all else.
         max_theta: only pairs with both directions at most so many degrees from the normal count.
         samples: the solver works on a stratified random subset of so many pairs (None: every pair), and finishes on
             every valid pair; both errors are reported. Of a table it sees every pair where a loss of squares and lobes
@@ -135,6 +139,10 @@ def fit(
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
     model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
+    if diffuse == "45:0" and not (near := measured.has_45_0).all():
+        name = measured.names[int(near.logical_not().nonzero()[0])]
+        log.warning("torchbrdf: %s: no sample is near the 45:0 reading; the diffuse albedo is fitted, too", name)
+        diffuse = "fit"
     if diffuse == "45:0":
         _set_diffuse(model, measured)
     subset = _Subset(len(measured.pairs), samples, seed)

@@ -63,6 +63,7 @@ class Batches:
     ) -> None:
         self.model, self.loss, self.out = model, as_loss(loss), out
         self.settings = settings | {"diffuse": diffuse_mode(settings.get("diffuse"), self.loss, model)}
+        self._may_be_fitted = settings.get("diffuse") is None  # where there is no 45:0 reading
         self.stored = self._read()
 
     @property
@@ -144,6 +145,8 @@ class Batches:
         if "strategy" in wanted:
             wanted["strategy"] = strategy_name(wanted["strategy"])
         for key in ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene"):
+            if key == "diffuse" and self._may_be_fitted and record.diffuse == "fit":
+                continue
             if key in wanted and getattr(record, key) != wanted[key]:
                 had = shown(getattr(record, key)) if getattr(record, key) != "" else "that the file does not say"
                 raise DataError(

@@ -1,8 +1,13 @@
 """Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
 
+from torchbrdf.measured.astm import Astm
+from torchbrdf.measured.bird import Bird
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
+from torchbrdf.measured.columns import Columns
+from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
+from torchbrdf.measured.fred import Fred
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import Measured, Samples
@@ -12,13 +17,19 @@ from torchbrdf.measured.plausibility import Plausibility, check, directional_alb
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
     "FORMATS",
     "MERL_NAMES",
     "MERL_SHA256",
     "PAPER_TEN",
+    "Astm",
+    "Bird",
     "BrdfFormat",
+    "Columns",
+    "Cornell",
+    "Fred",
     "Lookup",
     "Measured",
     "Merl",
@@ -26,6 +37,7 @@ __all__ = [
     "Rgl",
     "Samples",
     "StandIn",
+    "Zemax",
     "check",
     "contrast_gloss",
     "describe",

@@ -1,6 +1,7 @@
 """What there is to say about a file of measured BRDFs."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -8,15 +9,21 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.lobes.zoo import is_zoo
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.listed import ListedFormat
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.plausibility import directional_albedo
+
+FURNACE = (0.0, 60.0)
+"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect, in any channel."""
 
 
-def describe(path: str | Path) -> dict[str, object]:
+def describe(path: str | Path, settings: Mapping[str, str] | None = None) -> dict[str, object]:
     """Facts about one file of measured BRDFs: sizes, validity, diffuse albedo, gloss, range of values.
 
     Args:
         path: The file; or a name in the zoo, such as `zoo:nickel`.
+        settings: What the file does not say, as of `load`.
 
     Returns:
         Facts by name, in an order to print. Lists have one entry a channel, figures that do not exist are None, and
@@ -25,7 +32,7 @@ def describe(path: str | Path) -> dict[str, object]:
     Raises:
         DataError: The file is no measured BRDF.
     """
-    measured = load(path, dtype=torch.float64)
+    measured = load(path, dtype=torch.float64, settings=settings)
     facts: dict[str, object] = {
         "format": measured.source.format,
         **({} if is_zoo(path) else {"bytes": Path(path).stat().st_size}),
@@ -44,11 +51,17 @@ def _material(measured: Measured) -> dict[str, object]:
         "valid samples": int(valid.sum()),
         "lowest value, 1/sr": values[valid].amin(0).tolist(),
         "highest value, 1/sr": values[valid].amax(0).tolist(),
-        "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist(),
+        "diffuse albedo pi f(45:0)": measured.diffuse_45_0()[0].tolist() if measured.has_45_0.all() else None,
         "distinctness of image, degrees": _finite(distinctness_of_image(measured)[0].item()),
         "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
-    return facts | measured.source.details(measured.materials[0])
+    facts |= measured.source.details(measured.materials[0])
+    if isinstance(measured.source, ListedFormat):
+        albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
+        facts |= {
+            f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)
+        }
+    return facts
 
 
 def _finite(value: float) -> float | None:

@@ -1,21 +1,29 @@
 """What a file format is, and how its files are opened and its samples looked up."""
 
+import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.kinds import FORMATS as _FORMATS
+from torchbrdf.measured.scattered import Angles, Near, Places, Surface
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 Interpolation = Literal["linear", "nearest"]
 
+# Pairs that are looked up at once, and materials whose samples are kept ready for it.
+_CHUNK = 1 << 16
+_KEPT = 128
 
 FORMATS: Registry[type["BrdfFormat"]] = _FORMATS
 
@@ -44,9 +52,11 @@ class BrdfFormat(ABC):
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
         stand_in: Whether the values come from a model that stands in for a measurement.
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
-        is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored.
+        is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
+            interpolated; by default where `at` is the one here.
+        settings: What a reader can be told that a file does not say, and the values of each, the default first.
 
-    A subclass gives `recognises`, `open` and `read`; and `at`, if it can do better than the nearest sample.
+    A subclass gives `recognises`, `open` and `read`; and `at`, if it has a better way than between scattered samples.
     """
 
     format: ClassVar[str]
@@ -57,6 +67,13 @@ class BrdfFormat(ABC):
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
     is_reciprocal: ClassVar[bool] = False
+    settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Values between scattered samples are reciprocal, and those of a way of its own need not be."""
+        super().__init_subclass__(**keywords)
+        if "is_reciprocal" not in cls.__dict__:
+            cls.is_reciprocal = cls.at is BrdfFormat.at
 
     @classmethod
     @abstractmethod
@@ -85,71 +102,134 @@ class BrdfFormat(ABC):
         """
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon: here those of the nearest valid sample.
+        """Values at any pairs, zero below the horizon: here those between scattered samples, of isotropic materials.
 
         Args:
             pairs: `(1, N)`, or `(m, N)` with pairs of each material's own; dtype and device of the values are theirs.
             materials: Indices of m materials.
             interpolation: "linear" or "nearest".
+
+        Raises:
+            DataError: A material has no valid sample.
         """
-        return nearest_samples(self, pairs, materials)
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        for row, part, near, surface in self._looked_up(pairs, materials, 1 if interpolation == "nearest" else None):
+            values[row, part] = torch.from_numpy(surface.at(near)).to(values)
+        filled = [self._filled(pairs, row, material) for row, material in enumerate(materials)]
+        return Lookup(torch.where(pairs.above_horizon[..., None], values, 0), torch.tensor(filled, device=pairs.device))
+
+    def _looked_up(
+        self, pairs: Pairs, materials: list[int], neighbours: int | None
+    ) -> Iterator[tuple[int, slice, Near, Surface]]:
+        """For each part of the pairs and each material what it is made of; materials with the same samples share it."""
+        for start in range(0, len(pairs), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            found: tuple[Places, int, Near] | None = None
+            for row, material in enumerate(materials):
+                own = row if pairs.shape[0] > 1 else 0
+                places, surface = self._surface(material)
+                if found is None or found[0] is not places or found[1] != own:
+                    angles = Angles.of(pairs.select(samples=part), own)
+                    found = places, own, places.near(angles, *([] if neighbours is None else [neighbours]))
+                yield row, part, found[2], surface
+
+    @property
+    def _ready(self) -> "OrderedDict[object, Any]":
+        """What was made of samples to look others up, the latest last."""
+        found: OrderedDict[object, Any] = self.__dict__.setdefault("_made_ready", OrderedDict())
+        return found
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what is made of the samples again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_made_ready"}
+
+    def _surface(self, material: int) -> tuple[Places, Surface]:
+        """Where a material has valid samples, and its values there."""
+        found: tuple[Places, Surface] | None = self._ready.get(material)
+        if found is None:
+            values, weight = (part[0].cpu().numpy() for part in self.read([material], slice(None)))
+            valid = weight[:, 0] > 0
+            if not valid.any():
+                raise DataError(f"{self.names[material]}: expected valid samples, found none")
+            places = self._places(material, valid)
+            found = places, Surface(places, values[valid].astype(np.float64))
+            self._keep(material, found)
+        return found
+
+    def _places(self, material: int, valid: np.ndarray) -> Places:
+        """The places of valid samples: one for all materials that share pairs and validity."""
+        row = material if self.pairs.shape[0] > 1 else 0
+        key = (row, hashlib.sha256(valid.tobytes()).digest())
+        found: Places | None = self._ready.get(key)
+        if found is None:
+            found = Places(Angles.of(self.pairs.select(samples=torch.from_numpy(valid.nonzero()[0])), row))
+            self._keep(key, found)
+        return found
+
+    def _keep(self, key: object, thing: object) -> None:
+        self._ready[key] = thing
+        while len(self._ready) > _KEPT:
+            self._ready.popitem(last=False)
+
+    def _turned(self, material: int) -> tuple[KDTree, np.ndarray]:
+        """Where a material's samples above the horizon are, in degrees, and which of them are valid."""
+        found: tuple[KDTree, np.ndarray] | None = self._ready.get(("turned", material))
+        if found is None:
+            row = material if self.pairs.shape[0] > 1 else 0
+            above = self.pairs.above_horizon[row].cpu()
+            samples = Angles.of(self.pairs.select(samples=above.nonzero()[:, 0]), row).turned()
+            valid = self.read([material], slice(None))[1][0, :, 0].cpu()[above].numpy() > 0
+            found = KDTree(samples), valid
+            self._keep(("turned", material), found)
+        return found
+
+    def _filled(self, pairs: Pairs, row: int, material: int) -> int:
+        """How many pairs above the horizon have as their nearest sample one that is not valid."""
+        tree, valid = self._turned(material)
+        if valid.all():
+            return 0
+        own = row if pairs.shape[0] > 1 else 0
+        _, nearest = tree.query(Angles.of(pairs, own).turned())
+        return int((pairs.above_horizon[own].cpu().numpy() & ~valid[nearest]).sum())
+
+    def distance_at(self, pairs: Pairs, materials: list[int]) -> Tensor:
+        """How far pairs are from the nearest valid sample, `(m, N)`, degrees; 0 of what stands in for a measurement.
+
+        Args:
+            pairs: As of `at`.
+            materials: Indices of m materials.
+        """
+        found = pairs.cos_i.new_zeros((len(materials), len(pairs)))
+        if self.stand_in:
+            return found
+        for row, material in enumerate(materials):
+            tree, valid = self._turned(material)
+            if not valid.all():
+                tree = KDTree(tree.data[valid])
+            asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0).turned()
+            found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
+        return found
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
         return {}
 
 
-def reopened(source: BrdfFormat) -> tuple[Any, ...]:
-    """How a format is pickled, for `__reduce__`: its files are opened again, and once, where it is unpickled."""
+def reopened(source: BrdfFormat, settings: Mapping[str, str] | None = None) -> tuple[Any, ...]:
+    """How a format is pickled, for `__reduce__`: its files are opened again, and once, where it is unpickled.
+
+    Args:
+        source: The format, made of paths and, if any were given, of settings.
+        settings: What its reader was told.
+    """
     paths = tuple(path.absolute() for path in source.paths)
     stamps = tuple((status.st_mtime_ns, status.st_size) for status in map(Path.stat, paths))
-    return _opened_again, (type(source), paths, stamps)
+    return _opened_again, (type(source), paths, stamps, tuple((settings or {}).items()))
 
 
 @lru_cache(2)
-def _opened_again(kind: Any, paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...]) -> BrdfFormat:
-    found: BrdfFormat = kind(paths)
+def _opened_again(
+    kind: Any, paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...], settings: tuple[tuple[str, str], ...]
+) -> BrdfFormat:
+    found: BrdfFormat = kind(paths, dict(settings)) if settings else kind(paths)
     return found
-
-
-def nearest_samples(source: BrdfFormat, pairs: Pairs, materials: list[int]) -> Lookup:
-    """The values of the nearest valid samples, of isotropic materials.
-
-    Args:
-        source: where values are read.
-        pairs: where they are wanted, `(1, n)` or `(m, n)`.
-        materials: m of the source's materials.
-
-    Returns:
-        Values `(m, n, 3)`, zero below the horizon; those whose nearest sample was not valid are counted as filled.
-
-    Raises:
-        DataError: a material has no valid sample.
-    """
-    from scipy.spatial import KDTree
-
-    own, asked = _coordinates(source.pairs), _coordinates(pairs)
-    above = pairs.above_horizon.cpu()
-    found, filled = [], []
-    for row, material in enumerate(materials):
-        values, weight = (part[0] for part in source.read([material], slice(None)))
-        valid = weight[:, 0] > 0
-        if not valid.any():
-            raise DataError(f"{source.names[material]}: expected valid samples, found none")
-        points, wanted = own[material if len(own) > 1 else 0], asked[row if len(asked) > 1 else 0]
-        _, index = KDTree(points[valid]).query(wanted)
-        found.append(values[valid][torch.from_numpy(index)])
-        missed = torch.zeros(len(wanted), dtype=torch.bool, device="cpu")
-        if not valid.all():
-            _, nearest = KDTree(points).query(wanted)
-            missed = ~valid[torch.from_numpy(nearest)]
-        filled.append((missed & above[row if len(above) > 1 else 0]).sum())
-    values = torch.stack(found).to(pairs.device, pairs.dtype)
-    return Lookup(torch.where(pairs.above_horizon[..., None], values, 0), torch.stack(filled))
-
-
-def _coordinates(pairs: Pairs) -> Tensor:
-    """Where pairs `(m, n)` lie, `(m, n, 4)`, radians apart; phi_d and phi_d + pi are the same by reciprocity."""
-    theta_d, turn = pairs.theta_d.double().cpu(), 2 * pairs.phi_d.double().cpu()
-    around = torch.sin(theta_d) / 2
-    return torch.stack([pairs.theta_h.double().cpu(), theta_d, around * turn.cos(), around * turn.sin()], -1)

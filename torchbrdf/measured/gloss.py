@@ -33,7 +33,8 @@ def distinctness_of_image(measured: Measured) -> Tensor:
         measured: M materials.
 
     Returns:
-        Degrees, `(M,)`; 119 where it never falls so far, nan where there is no light to begin with.
+        Degrees, `(M,)`; 119 where it never falls so far, nan where there is no light to begin with, or no sample near
+        the mirror direction.
 
     Source: see the module, for the dimensions of gloss and for how the paper's sentence is read.
 
@@ -51,7 +52,7 @@ def distinctness_of_image(measured: Measured) -> Tensor:
     high, low = ratio.gather(-1, after - 1), ratio.gather(-1, after)
     angle = off[after] - STEP * (FRACTION - low) / (high - low)
     angle = torch.where(below.any(-1, keepdim=True), angle, LARGEST_ANGLE)[:, 0]
-    return torch.where(start > 0, angle, torch.nan)
+    return torch.where((start > 0) & _reached(measured, [LIGHT], [-LIGHT]), angle, torch.nan)
 
 
 def contrast_gloss(measured: Measured) -> Tensor:
@@ -61,20 +62,32 @@ def contrast_gloss(measured: Measured) -> Tensor:
         measured: M materials.
 
     Returns:
-        `(M,)`; nan if either luminance is not positive.
+        `(M,)`; nan if either luminance is not positive, or no sample is near.
 
     Source: see the module.
     """
     light, viewer = torch.tensor([[LIGHT, 45.0], [-LIGHT, 0.0]], dtype=torch.float64, device="cpu")
     mirror, diffuse = _luminance(measured, light, viewer).clamp_min(0).unbind(-1)
     ratio = mirror / diffuse
-    return torch.where((mirror > 0) & (diffuse > 0), ratio, torch.nan).log10()
+    known = (mirror > 0) & (diffuse > 0) & _reached(measured, light.tolist(), viewer.tolist())
+    return torch.where(known, ratio, torch.nan).log10()
+
+
+def _reached(measured: Measured, light: list[float], viewer: list[float]) -> Tensor:
+    """Whether samples are near all of some readings, `(M,)`, on the CPU."""
+    angles = (torch.tensor(one, dtype=torch.float64, device="cpu") for one in (light, viewer))
+    return measured.reaches(_in_plane(*angles)).cpu()
 
 
 def _luminance(measured: Measured, light: Tensor, viewer: Tensor) -> Tensor:
-    """Luminance in the plane of incidence, of angles from the normal towards the light's side, degrees, `(M, N)`."""
+    """Luminance in the plane of incidence, `(M, N)`."""
+    return luminance(measured.at(_in_plane(light, viewer)))
+
+
+def _in_plane(light: Tensor, viewer: Tensor) -> Pairs:
+    """Pairs `(1, N)` in the plane of incidence, of angles from the normal towards the light's side, degrees."""
     wi, wo = (
         torch.stack([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)[None]
         for angle in (light * (math.pi / 180), viewer * (math.pi / 180))
     )
-    return luminance(measured.at(Pairs.from_directions(wi, wo)))
+    return Pairs.from_directions(wi, wo)

@@ -3,17 +3,18 @@
 import logging
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import torch
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
 from torchbrdf.names import LONGEST_NAME, clean_name
 from torchbrdf.reading import reading
+from torchbrdf.registry import unknown
 
 log = logging.getLogger("torchbrdf")
 
@@ -23,7 +24,12 @@ ROOM = 12
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
-def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Measured:
+def load(
+    paths: Paths,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+    settings: Mapping[str, str] | None = None,
+) -> Measured:
     """Load measured BRDFs from a file, several files, or a folder; all of one format.
 
     Args:
@@ -32,6 +38,8 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
             `torchbrdf.lobes.zoo_names`.
         dtype: Of the values; by default torch's default dtype.
         device: Of the values; by default the CPU.
+        settings: What the files do not say and their reader is to take, such as `{"angles": "degrees"}`; a format has
+            those in its `settings`.
 
     Returns:
         All materials of all files. Names are those of the files, without suffix; where two are the same, with the
@@ -39,6 +47,7 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
 
     Raises:
         DataError: There is no file, a file is bad, or the formats differ.
+        UsageError: The format has no such setting.
 
     Example:
         >>> from torchbrdf.measured import standins
@@ -54,7 +63,8 @@ def load(paths: Paths, dtype: torch.dtype | None = None, device: torch.device | 
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
     ((name, members),) = groups.items()
-    return _open(name, members, dtype, device)
+    check_settings([name], settings)
+    return _open(name, members, dtype, device, settings)
 
 
 def load_all(
@@ -63,6 +73,7 @@ def load_all(
     bad: list[DataError] | None = None,
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> list[Measured]:
     """Load measured BRDFs of mixed formats, one `Measured` for each format found.
 
@@ -71,6 +82,7 @@ def load_all(
         bad: A list that takes the errors of bad files, so that the others are loaded; None raises the first.
         dtype: As for `load`.
         device: As for `load`.
+        settings: As for `load`; each format takes those that it has.
 
     Returns:
         One `Measured` a format, in the order in which the formats were found.
@@ -84,9 +96,10 @@ def load_all(
         ['fits']
     """
     groups = _by_format(find_files(paths, bad), bad)
+    check_settings(groups, settings)
     if bad is not None:
-        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad))}
-    return [_open(name, members, dtype, device) for name, members in groups.items()]
+        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad, settings))}
+    return [_open(name, members, dtype, device, settings) for name, members in groups.items()]
 
 
 def format_of(path: Path) -> str | None:
@@ -125,17 +138,48 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
         return False
 
 
-def _open(name: str, paths: Sequence[Path], dtype: torch.dtype | None, device: torch.device | str | None) -> Measured:
-    source = _opened(name, paths)
+def _open(
+    name: str,
+    paths: Sequence[Path],
+    dtype: torch.dtype | None,
+    device: torch.device | str | None,
+    settings: Mapping[str, str] | None,
+) -> Measured:
+    source = _opened(name, paths, settings)
     # A name becomes a file's name and a line on pages: one that a file's stem gives may be anything.
     source.names = _unique([clean_name(one) for one in source.names], source.paths)
     return Measured(source, dtype=dtype, device=device)
 
 
-def _opened(name: str, paths: Sequence[Path]) -> BrdfFormat:
+def _opened(name: str, paths: Sequence[Path], settings: Mapping[str, str] | None) -> BrdfFormat:
     """The source of some files; whatever a reader of another package raises is an error that names the first."""
+    own = {key: value for key, value in (settings or {}).items() if key in FORMATS[name].settings}
     with reading(paths[0], f"a measured BRDF of the format {name}"):
+        if own:  # which only those have that take them
+            return FORMATS[name].open(paths, own)  # type: ignore[call-arg]
         return FORMATS[name].open(paths)
+
+
+def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> None:
+    """Refuse settings that none of some formats has.
+
+    Args:
+        names: Of the formats.
+        settings: As of `load`.
+
+    Raises:
+        UsageError: A setting, or its value, is not known.
+
+    Example:
+        >>> check_settings(["astm"], {"angles": "degrees"})
+    """
+    known = {key: values for name in names for key, values in FORMATS[name].settings.items()}
+    for key, value in (settings or {}).items():
+        if key not in known:
+            has = ", ".join(known) or "none"
+            raise UsageError(f"settings: expected one that {', '.join(names)} has ({has}), found {shown(key)}")
+        if value not in known[key]:
+            raise unknown(key, value, known[key])
 
 
 def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -161,11 +205,11 @@ def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     return list(made)
 
 
-def _good(name: str, paths: Sequence[Path], bad: list[DataError]) -> list[Path]:
+def _good(name: str, paths: Sequence[Path], bad: list[DataError], settings: Mapping[str, str] | None) -> list[Path]:
     good = []
     for path in paths:
         try:
-            _opened(name, [path])
+            _opened(name, [path], settings)
         except DataError as error:
             bad.append(error)
         else:

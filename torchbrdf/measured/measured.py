@@ -12,19 +12,26 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError, UsageError, shown
-from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, nearest_samples, reopened
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import unknown
 
-__all__ = ["FORMATS", "BrdfFormat", "Interpolation", "Lookup", "Measured", "Samples", "nearest_samples", "reopened"]
+__all__ = ["FORMATS", "BrdfFormat", "Interpolation", "Lookup", "Measured", "Samples", "reopened"]
+
+
+FAR = 12.0
+"""Degrees from the nearest sample up to which a reading counts as measured: instruments take steps of up to 20."""
+
+
+def reading_45_0() -> Pairs:
+    """The 45:0 reading, `(1, 1)`: light at 45 degrees, viewer at the normal."""
+    angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
+    return Pairs.from_half_diff(angle, angle, torch.zeros_like(angle))
 
 
 class Samples(BrdfFormat):
-    """The format of values that somebody already has as tensors, see `Measured.from_samples`.
-
-    They are known exactly where they were measured and nowhere else: `at` raises a DataError.
-    """
+    """The format of values that somebody already has as tensors, see `Measured.from_samples`."""
 
     format = "samples"
 
@@ -54,18 +61,12 @@ class Samples(BrdfFormat):
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "Samples":
-        """Refuse: samples do not come from files, and have no values between their pairs."""
+        """Refuse: samples do not come from files."""
         raise DataError(f"{paths[0]}: samples do not come from files")
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """The given values `(m, n, 3)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
-
-    def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Refuse: samples do not come from files, and have no values between their pairs."""
-        raise DataError(
-            "these samples have no values between their pairs; load a table, or fit a model and render that"
-        )
 
 
 # The samples of shared pairs that were asked for last, with device and dtype.
@@ -275,7 +276,7 @@ class Measured:
         Raises:
             ShapeError: The pairs fit neither one nor all materials.
             UsageError: There is no such interpolation.
-            DataError: The source knows nothing between its own pairs.
+            DataError: A material has no valid sample.
 
         Example:
             >>> from torchbrdf.measured import load, standins
@@ -307,22 +308,71 @@ class Measured:
         """Interpolated values as `at` gives them, with the count of pairs that had no valid neighbour."""
         if interpolation not in get_args(Interpolation):
             raise unknown("interpolation", interpolation, get_args(Interpolation))
+        return self.source.at(self._asked(pairs), self.materials, interpolation)
+
+    def _asked(self, pairs: Pairs) -> Pairs:
+        """Pairs `(1, N)` or `(M, N)`."""
         if len(pairs.shape) == 1:
             pairs = pairs.unsqueeze()
         if len(pairs.shape) != 2 or pairs.shape[0] not in (1, len(self)):
             raise ShapeError(f"at: expected pairs ({len(self)} or 1, N), found {(*pairs.shape,)}")
-        return self.source.at(pairs, self.materials, interpolation)
+        return pairs
+
+    def distance_at(self, pairs: Pairs) -> Tensor:
+        """How far pairs are from the nearest valid sample: where values are measured, interpolated or guessed.
+
+        It is the angle by which light and viewer would have to turn, as a root mean square of both, for the samples of
+        an isotropic, reciprocal material.
+
+        Args:
+            pairs: As of `at`.
+
+        Returns:
+            Degrees, `(M, N)`; 0 of a model in a measurement's place.
+
+        Raises:
+            ShapeError: The pairs fit neither one nor all materials.
+
+        Example:
+            >>> angle = torch.tensor([[0.1, 0.2]])
+            >>> measured = Measured.from_samples(Pairs.from_half_diff(angle, angle, angle), torch.ones(1, 2, 3))
+            >>> measured.distance_at(Pairs.from_half_diff(angle + math.radians(1), angle, angle)).round(decimals=1)
+            tensor([[1., 1.]])
+        """
+        return self.source.distance_at(self._asked(pairs), self.materials)
+
+    def reaches(self, pairs: Pairs) -> Tensor:
+        """Whether there is a sample within `FAR` degrees of pairs, for all of them, `(M,)`.
+
+        Grids are taken to be whole: only scattered samples leave gaps.
+
+        Args:
+            pairs: As of `at`.
+        """
+        if not self.is_scattered:
+            return torch.ones(len(self), dtype=torch.bool, device=self.device)
+        return (self.distance_at(pairs) <= FAR).all(-1).to(self.device)
+
+    @property
+    def is_scattered(self) -> bool:
+        """Whether values are interpolated between samples without a grid."""
+        return type(self.source).at is BrdfFormat.at
+
+    @property
+    def has_45_0(self) -> Tensor:
+        """Of each material, whether samples are near the 45:0 reading, `(M,)`."""
+        return self.reaches(reading_45_0())
 
     def diffuse_45_0(self) -> Tensor:
         """Diffuse albedo by the 45:0 reading, pi f(45:0), clamped to [0, 1].
 
-        wi is at 45 degrees and wo at the normal: theta_h = theta_d = 22.5 degrees, phi_d = 0.
+        wi is at 45 degrees and wo at the normal: theta_h = theta_d = 22.5 degrees, phi_d = 0. `has_45_0` says whether
+        it was measured thereabouts.
 
         Returns:
             `(M, 3)`, without a unit.
         """
-        angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
-        value = self.at(Pairs.from_half_diff(angle, angle, torch.zeros_like(angle)))[:, 0]
+        value = self.at(reading_45_0())[:, 0]
         return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)
 
 

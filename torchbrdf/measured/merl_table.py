@@ -33,7 +33,7 @@ def merl_values(brdf: Brdf) -> Tensor:
 
     Raises:
         UsageError: The BRDF is none, or several materials.
-        DataError: The BRDF is known only at its own samples.
+        DataError: It was measured, and no sample is valid.
 
     Example:
         >>> from torchbrdf.lobes import Ward

@@ -64,7 +64,7 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
     Raises:
         UsageError: The BRDF is none, or several materials; there are fewer than 4 angles or nodes, or more than 2^24
             `angles size^2`.
-        DataError: The BRDF is known only at its own samples; or the file cannot be written.
+        DataError: It was measured, and no sample is valid; or the file cannot be written.
 
     Source: J. Dupuy, W. Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, 2018,
     doi:10.1145/3272127.3275059.

@@ -4,12 +4,14 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
+from helpers.listed_files import angles, astm, bird, columns, cornell, fred, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
 from fuzzing.changes.of_arrays import bsdf
 from fuzzing.changes.of_formats import merl
 from fuzzing.changes.of_json import JSON
+from fuzzing.changes.of_table import TABLE
 from fuzzing.readers import Reader
 from fuzzing.sane import check_brdf, check_finite, check_line, check_name, check_pairs, expect, later
 from torchbrdf import load
@@ -17,6 +19,7 @@ from torchbrdf.fitting.batches import Batches
 from torchbrdf.fitting.result import write_fits_csv
 from torchbrdf.lobes import LOBES, FitRecord, make_model, model_of, parameters, read_fits, write_fits
 from torchbrdf.losses import LearnedLoss, RMSLoss
+from torchbrdf.measured import describe
 
 
 def make_merl(folder: Path) -> None:
@@ -25,6 +28,38 @@ def make_merl(folder: Path) -> None:
 
 def make_rgl(folder: Path) -> None:
     (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
+
+
+def make_astm(folder: Path) -> None:
+    (folder / "fuzzed.astm").write_text(astm(angles(20)))
+
+
+def make_cornell(folder: Path) -> None:
+    (folder / "fuzzed.brdf").write_text(cornell(angles(20)))
+
+
+def make_fred(folder: Path) -> None:
+    (folder / "fuzzed.txt").write_text(fred(angles(20)))
+
+
+def make_zemax(folder: Path) -> None:
+    (folder / "fuzzed.bsdf").write_text(zemax())
+
+
+def make_columns(folder: Path) -> None:
+    (folder / "fuzzed.csv").write_text(columns(angles(20)))
+
+
+def make_bird(folder: Path) -> None:
+    (folder / "fuzzed.brdf").write_text(bird(angles(30)))
+
+
+def use_listed(path: Path) -> None:
+    """As others, and as `info` and a fit use it."""
+    use_measured(path)
+    for fact in describe(path).values():
+        check_line(str(fact)[:250], "fact")
+    check_finite(load(path).distance_at(check_pairs()), "distance")
 
 
 def use_measured(path: Path) -> None:
@@ -110,6 +145,12 @@ def use_metric(path: Path) -> None:
 READERS = (
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
+    Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
+    Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
+    Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
+    Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
+    Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
     Reader("continued", "fits.json", make_ward, use_continued, (*JSON, *TEXT)),

@@ -1,0 +1,111 @@
+"""ASTM E1392 text: rows of four angles and of values in bands, behind a header of names and values.
+
+Source: ASTM E1392-96, Standard Practice for Angle Resolved Optical Scatter Measurements on Specular or Diffuse
+Surfaces; and files of instruments that say so of themselves.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.angles import in_radians
+from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
+
+# A header may have any of these; one of VARS, and one more, make it one.
+_KEYS = (
+    *("LAB_NAME", "SYSTEM_NAME", "SAMPLE_NAME", "MEAS_NAME", "FILE_NAME", "NUM_POINTS", "MEAS_DATE", "OPERATOR"),
+    *("POLAR_MEAS", "WAVELENGTH", "COMMENT", "APERTURE", "INSTRUMENT"),
+)
+_ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
+_OTHER_NAMES = {"theta_r": "theta_s", "theta_o": "theta_s", "phi_r": "phi_s", "phi_o": "phi_s"}
+_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*nm", re.IGNORECASE)
+_RGB = (("r", "g", "b"), ("red", "green", "blue"))
+_EXPECTED = "an ASTM E1392 file"
+
+
+@FORMATS.register("astm")
+class Astm(ListedFormat):
+    """The format of ASTM E1392 text files, scattered samples in bands of wavelengths.
+
+    `VARS` names the columns: theta_i, phi_i, theta_s, phi_s, then bands, such as `465nm`. Where it leaves out phi_s,
+    and every row has one column more than it names, the rows are believed. Angles are in radians unless one of them
+    is too large for that, or the setting `angles` says otherwise.
+    """
+
+    format = "astm"
+    suffixes = (".astm",)
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Whether it is an ASTM E1392 file, by the names that its header has."""
+        names = {line.split(None, 1)[0].upper() for line in head_lines(path, head)}
+        return "VARS" in names and bool(names.intersection(_KEYS))
+
+    def parse(self, path: Path) -> Listed:
+        """What a file says."""
+        lines = text_lines(path, _EXPECTED)
+        header: dict[str, str] = {}
+        start = next((k for k, line in enumerate(lines) if line.upper().startswith("VARS")), None)
+        if start is None:
+            raise DataError(f"{path}: expected a line VARS that names the columns, found none")
+        for line in lines[: start + 1]:
+            key, *rest = line.split(None, 1) or [""]
+            header[key.upper()] = " ".join(rest)
+        names = [_OTHER_NAMES.get(name, name) for name in _split(header.get("VARS", "").lower())]
+        facts: dict[str, object] = {}
+        for key, word in (("SAMPLE_NAME", "sample"), ("SYSTEM_NAME", "instrument"), ("MEAS_DATE", "date")):
+            if header.get(key):
+                facts[word] = shown(header[key])[1:-1]
+        first = next((line for line in lines[start + 1 :] if line and line[0] != "#"), "")
+        if "phi_s" not in names and "theta_s" in names and len(_split(first)) == len(names) + 1:
+            names.insert(names.index("theta_s") + 1, "phi_s")
+            facts["columns"] = f"the header names {len(names) - 1}, the rows have {len(names)}: phi_s behind theta_s"
+        bands, wavelengths = _bands(path, names)
+        rows = parse_rows(path, lines[start + 1 :], len(names), start + 2)
+        facts |= _counted(header.get("NUM_POINTS"), len(rows.numbers))
+        if rows.mended:
+            facts["mended"] = rows.mended
+        column = {name: rows.numbers[:, k] for k, name in enumerate(names)}
+        polar, azimuth = (rows.numbers[:, [names.index(f"{name}_{end}") for end in "is"]] for name in ("theta", "phi"))
+        factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
+        facts["angles"] = unit
+        angles = np.stack([column[name] * factor for name in _ANGLES], -1)
+        values = rows.numbers[:, bands]
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
+
+
+def _split(text: str) -> list[str]:
+    """What commas, semicolons or blanks part."""
+    return [part for part in re.split(r"[,;\s]+", text) if part]
+
+
+def _bands(path: Path, names: Sequence[str]) -> tuple[list[int], list[float] | None]:
+    """The columns of bands, in the order of their wavelengths; None for RGB."""
+    missing = [name for name in _ANGLES if names.count(name) != 1]
+    if missing:
+        raise DataError(f"{path}: VARS: expected {', '.join(_ANGLES)} once each, found {shown(' '.join(names), 90)}")
+    columns = [k for k, name in enumerate(names) if name not in _ANGLES]
+    found = [_BAND.fullmatch(names[k]) for k in columns]
+    if tuple(names[k] for k in columns) in _RGB:
+        return columns, None
+    if columns and all(found):
+        by_length = sorted((float(one[1]), k) for one, k in zip(found, columns, strict=True) if one)
+        lengths = [length for length, _ in by_length]
+        if len(set(lengths)) == len(lengths):
+            return [k for _, k in by_length], lengths
+    if len(columns) == 1:
+        return columns, None
+    other = " ".join(names[k] for k in columns)
+    raise DataError(f"{path}: VARS: expected bands such as 465nm, or red, green, blue, found {shown(other, 90)}")
+
+
+def _counted(said: str | None, rows: int) -> dict[str, object]:
+    """What there is to say where the header counts other rows than there are."""
+    if said is None or said == str(rows):
+        return {}
+    return {"rows": f"{rows}, and the header says {shown(said)}; the rows were believed"}

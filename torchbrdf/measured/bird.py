@@ -1,0 +1,98 @@
+"""The universal BRDF data format of the BiRD and BxDiff projects: JSON with a list for each variable.
+
+Source: D. Lanevski et al., Universal BRDF data format, 2022, doi:10.1002/col.22790, and its JSON schema.
+"""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.angles import in_radians
+from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.rows import head_lines
+from torchbrdf.reading import read_json
+
+_EXPECTED = "a BiRD BRDF file"
+_ANGLE_UNITS = {"°": "degrees", "deg": "degrees", "degree": "degrees", "rad": "radians"}
+_LENGTH_UNITS = {"nm": 1.0, "μm": 1e3, "um": 1e3, "\u00b5m": 1e3}
+_VALUE_UNITS = ("sr^-1", "1/sr")
+
+
+class _Variable(msgspec.Struct):
+    """A variable of a file: a number for each sample."""
+
+    values: list[float]
+    unit: str = ""
+
+
+class _Data(msgspec.Struct):
+    """The variables that are read."""
+
+    theta_i: _Variable
+    phi_i: _Variable
+    theta_r: _Variable
+    phi_r: _Variable
+    brdf: _Variable = msgspec.field(name="BRDF")
+    wavelength_i: _Variable | None = None
+    wavelength_r: _Variable | None = None
+
+
+class _Document(msgspec.Struct):
+    """The part of a file that is read."""
+
+    data: _Data
+
+
+@FORMATS.register("bird")
+class Bird(ListedFormat):
+    """The format of BiRD and BxDiff's universal BRDF files, JSON.
+
+    Samples at the same angles are bands, and the mean over what else differs, such as polarization.
+    """
+
+    format = "bird"
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Whether it is such a file, by the schema that it names."""
+        start = " ".join(head_lines(path, head))
+        return start.startswith("{") and "brdf_json_schema" in start.lower() and '"metadata"' in start
+
+    def parse(self, path: Path) -> Listed:
+        """What a file says."""
+        document: _Document = read_json(path, _Document, _EXPECTED)
+        data = document.data
+        named = {"theta_i": data.theta_i, "phi_i": data.phi_i, "theta_r": data.theta_r, "phi_r": data.phi_r}
+        count = len(data.brdf.values)
+        length = data.wavelength_i or data.wavelength_r
+        for name, one in (named | ({"wavelength": length} if length else {})).items():
+            if len(one.values) != count:
+                raise DataError(f"{path}: {name}: expected {count} values as of BRDF, found {len(one.values)}")
+        units = {one.unit for one in named.values()}
+        if len(units) != 1 or not units <= set(_ANGLE_UNITS) or data.brdf.unit not in _VALUE_UNITS:
+            found = shown(" ".join([*sorted(units), data.brdf.unit]))
+            raise DataError(f"{path}: expected angles in ° or rad and BRDF in sr^-1, found {found}")
+        if length and length.unit not in _LENGTH_UNITS:
+            raise DataError(f"{path}: wavelength: expected nm or μm, found {shown(length.unit)}")
+        angles = np.array([one.values for one in named.values()], np.float64).T
+        factor, unit = in_radians(path, angles[:, ::2], angles[:, 1::2], _ANGLE_UNITS[units.pop()])
+        facts: dict[str, object] = {"angles": unit}
+        values = np.array(data.brdf.values, np.float64)
+        if not length or not count:
+            return Listed(angles * factor, values[:, None], None, facts=facts)
+        lengths = np.array(length.values, np.float64) * _LENGTH_UNITS[length.unit]
+        places, own = np.unique(angles, axis=0, return_inverse=True)
+        bands, band = np.unique(lengths, return_inverse=True)
+        if not (bands[0] > 0 and bands[-1] < 1e6) or len(places) * len(bands) > 50 * count + 1000:
+            raise DataError(f"{path}: wavelength: expected the same ones at all angles, found {len(bands)} in all")
+        cell = own.reshape(-1) * len(bands) + band.reshape(-1)
+        size = len(places) * len(bands)
+        repeats = np.bincount(cell, minlength=size)
+        with np.errstate(invalid="ignore"):  # nan where a band is missing
+            table = np.bincount(cell, values, size) / repeats
+        if repeats.max() > 1:
+            facts["repetitions"] = f"{count} values of {int((repeats > 0).sum())}: their means, as of polarizations"
+        return Listed(places * factor, table.reshape(-1, len(bands)), bands.tolist(), facts=facts)

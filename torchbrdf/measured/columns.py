@@ -1,0 +1,121 @@
+"""What anybody can write: columns with names, in CSV or in an `.npz`."""
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.angles import in_radians
+from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
+from torchbrdf.reading import read_npz
+
+_EXPECTED = "columns theta_i, theta_o, phi and bands"
+_NEEDED = ("theta_i", "theta_o")
+_RGB = ("r", "g", "b")
+_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)(?:\s*nm)?", re.IGNORECASE)
+
+
+@FORMATS.register("columns")
+class Columns(ListedFormat):
+    """The format of CSV and `.npz` files with named columns: what a user can always write.
+
+    `theta_i` and `theta_o` are the angles of light and viewer from the normal; `phi` is the azimuth between them, or
+    `phi_i` and `phi_o` are those of both: at 180 degrees lies the mirror direction. Values are `r`, `g`, `b`, linear
+    with the primaries of ITU-R BT.709; or bands, called by their wavelengths in nm (`465nm`); or one column `f`, grey.
+    In an `.npz` each column is an array `(N,)`.
+    """
+
+    format = "columns"
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Whether the first line, or the arrays of an `.npz`, have the names of both angles from the normal."""
+        if head.startswith(b"PK"):
+            return set(_NEEDED) <= set(_arrays(path))
+        first = next((line for line in head_lines(path, head) if line[0] != "#"), "")
+        return set(_NEEDED) <= set(_names(first))
+
+    def parse(self, path: Path) -> Listed:
+        """What a file says."""
+        with path.open("rb") as file:
+            packed = file.read(2) == b"PK"
+        names, numbers, facts = _packed(path) if packed else _text(path)
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise DataError(f"{path}: expected each column once, found {shown(twice[0])} more often")
+        column = {name: numbers[:, k] for k, name in enumerate(names)}
+        for name in _NEEDED:
+            if name not in column:
+                raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
+        if {"phi_i", "phi_o"} <= set(names):
+            phi_i, phi_o = column["phi_i"], column["phi_o"]
+        elif "phi" in names:
+            phi_i, phi_o = 0 * column["phi"], column["phi"]
+        else:
+            raise DataError(f"{path}: expected a column phi, or phi_i and phi_o, found {shown(' '.join(names), 90)}")
+        polar, azimuth = (np.stack(one, -1) for one in ((column["theta_i"], column["theta_o"]), (phi_i, phi_o)))
+        factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
+        rest = [name for name in names if name not in (*_NEEDED, "phi", "phi_i", "phi_o")]
+        order, wavelengths = _bands(path, rest)
+        values = np.stack([column[name] for name in order], -1)
+        angles = factor * np.stack([polar[:, 0], phi_i, polar[:, 1], phi_o], -1)
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
+
+
+def _names(line: str) -> list[str]:
+    """The names in a header, whatever parts them."""
+    mark = next((one for one in ";\t," if one in line), " ")
+    row = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    return [name.strip().lower() for name in row if name.strip()]
+
+
+def _text(path: Path) -> tuple[list[str], np.ndarray, dict[str, object]]:
+    """Names, numbers and facts of a CSV file."""
+    lines = text_lines(path, _EXPECTED)
+    at = next((k for k, line in enumerate(lines) if line and line[0] != "#"), None)
+    names = [] if at is None else _names(lines[at])
+    if at is None or not set(_NEEDED) <= set(names):
+        raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
+    rows = parse_rows(path, [line.replace('"', "") for line in lines[at + 1 :]], len(names), at + 2)
+    return names, rows.numbers, {"mended": rows.mended} if rows.mended else {}
+
+
+def _packed(path: Path) -> tuple[list[str], np.ndarray, dict[str, object]]:
+    """The same of an `.npz`."""
+    arrays = read_npz(path, _EXPECTED, checksum=False)
+    size = len(np.atleast_1d(next(iter(arrays.values()), np.empty(0))))
+    for name, one in arrays.items():
+        if one.shape != (size,) or one.dtype.kind not in "fiu":
+            raise DataError(f"{path}: {shown(name)}: expected {size} numbers, found {one.dtype} {one.shape}")
+    return [name.lower() for name in arrays], np.stack([*arrays.values()], -1).astype(np.float64), {}
+
+
+def _arrays(path: Path) -> list[str]:
+    """The names of the arrays of an `.npz`; none of another archive."""
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [name.removesuffix(".npy").lower() for name in archive.namelist() if name.endswith(".npy")]
+    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
+        return []
+
+
+def _bands(path: Path, names: Sequence[str]) -> tuple[list[str], list[float] | None]:
+    """Columns of values in their order, and their wavelengths; None for RGB and for grey."""
+    if set(names) == set(_RGB):
+        return list(_RGB), None
+    if len(names) == 1 and names[0] in ("f", "brdf", "value"):
+        return list(names), None
+    found = [_BAND.fullmatch(name) for name in names]
+    if names and all(found):
+        pairs = sorted((float(one[1]), name) for one, name in zip(found, names, strict=True) if one)
+        lengths = [length for length, _ in pairs]
+        if len(set(lengths)) == len(lengths) and lengths[0] > 0 and lengths[-1] < 1e6:
+            return [name for _, name in pairs], lengths
+    raise DataError(f"{path}: expected r, g, b, or bands such as 465nm, or f, found {shown(' '.join(names), 90)}")

@@ -1,0 +1,188 @@
+"""Formats whose files list directions and values, in no order that a reader could rely on."""
+
+import logging
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from torchbrdf.errors import DataError
+from torchbrdf.measured.angles import UNITS, direction
+from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, ILLUMINANTS, colors_label, rgb_weights
+from torchbrdf.measured.format import BrdfFormat, reopened
+from torchbrdf.measured.summary import summary
+from torchbrdf.pairs import Pairs
+
+log = logging.getLogger("torchbrdf")
+
+LEAST_COSINE = 1e-4
+"""Directions nearer to the horizon are at it, but for rounding: what is said there is no BRDF's value."""
+LARGEST_VALUE = 1e8
+"""Larger values, in 1/sr, are no reflectance."""
+QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
+SETTINGS: Mapping[str, tuple[str, ...]] = {"angles": UNITS, "illuminant": ILLUMINANTS, "quantity": QUANTITIES}
+"""What a reader may be told that a file does not say, and the values of each."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """What one file says.
+
+    Args:
+        angles: theta_i and phi_i of the light, theta_o and phi_o of the viewer, radians, `(N, 4)`; a theta below 0 is
+            on the other side.
+        values: What was measured, `(N, W)`, nan where nothing was.
+        wavelengths: Of the bands, nm, growing, W; None for linear RGB.
+        quantity: What the values are, one of `QUANTITIES`.
+        facts: What else the file, or how it was read, has to say, by name.
+    """
+
+    angles: np.ndarray
+    values: np.ndarray
+    wavelengths: Sequence[float] | None
+    quantity: str = "brdf"
+    facts: Mapping[str, object] = field(default_factory=dict)
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors to the light and to the viewer, `(N, 3)`."""
+        theta_i, phi_i, theta_o, phi_o = self.angles.T
+        return direction(theta_i, phi_i), direction(theta_o, phi_o)
+
+
+class _Opened(NamedTuple):
+    """What was read of one file: directions, values and validity of N samples, and facts."""
+
+    wi: Tensor
+    wo: Tensor
+    values: Tensor
+    valid: Tensor
+    facts: dict[str, object]
+
+
+class ListedFormat(BrdfFormat):
+    """Base of formats whose files list directions and values. A subclass gives `recognises` and `parse`.
+
+    Values become RGB and a BRDF in 1/sr when a file is opened; how, `details` says. Negative values are kept: noise has
+    two sides. Samples that are not finite, too large for a reflectance, or not above the horizon get weight 0.
+
+    Args:
+        paths: Files that `recognises` said yes to.
+        settings: What their reader is told, see `SETTINGS`.
+    """
+
+    settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
+
+    def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
+        self.paths = list(paths)
+        self.names = [path.stem for path in paths]
+        self.told = dict(settings or {})
+        self._read = [self._opened(path) for path in paths]
+
+    def _opened(self, path: Path) -> _Opened:
+        listed = self.parse(path)
+        if not len(listed.values):
+            raise DataError(f"{path}: expected samples, found none")
+        values, words = in_colors(listed, self.setting("illuminant", DEFAULT_ILLUMINANT))
+        wi, wo = listed.directions()
+        for one in (wi, wo):
+            one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
+        with np.errstate(invalid="ignore"):
+            values *= _factor(listed.quantity, wo[:, 2])[:, None]
+            valid = (np.minimum(wi[:, 2], wo[:, 2]) > 0) & (np.abs(values) <= LARGEST_VALUE).all(1)
+        if not valid.any():
+            raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
+        facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
+        values[~valid] = 0
+        toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
+        return _Opened(toward, seen, found, good, facts)
+
+    @classmethod
+    def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "ListedFormat":
+        """Read and check files; DataError for the first that is bad."""
+        source = cls(paths, settings)
+        source._announce()
+        return source
+
+    def _announce(self) -> None:
+        """Say once how bands became colours, where they are so few that others would have been as good."""
+        said = {one.facts["colours"]: path for path, one in zip(self.paths[::-1], self._read[::-1], strict=True)}
+        for words, path in said.items():
+            if words != _AS_IT_IS:
+                log.info("torchbrdf: %s: colours: %s", path, words)
+
+    @abstractmethod
+    def parse(self, path: Path) -> Listed:
+        """What a file says; DataError if it is bad."""
+
+    def setting(self, name: str, default: str) -> str:
+        """What the reader was told, or what it takes where it was not."""
+        return self.told.get(name, default)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as the paths of its files."""
+        return reopened(self, self.told)
+
+    @cached_property
+    def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
+        """Pairs `(1, N)` where all files have the same, else `(M, N)`; values `(M, N, 3)` and weights `(M, N, 1)`."""
+        first = self._read[0]
+        shared = all(torch.equal(one.wi, first.wi) and torch.equal(one.wo, first.wo) for one in self._read[1:])
+        values = pad_sequence([one.values for one in self._read], batch_first=True)
+        weight = pad_sequence([one.valid for one in self._read], batch_first=True)[..., None].double()
+        if shared:
+            return Pairs.from_directions(first.wi[None], first.wo[None]), values, weight
+        wi = pad_sequence([one.wi for one in self._read], batch_first=True)
+        wo = pad_sequence([one.wo for one in self._read], batch_first=True)
+        padding = wi.square().sum(-1) == 0
+        wi[..., 2] += padding  # seen from below the horizon, as nothing that counts as measured or as missing
+        wo[..., 0] += 0.8 * padding
+        wo[..., 2] -= 0.6 * padding
+        return Pairs.from_directions(wi, wo), values, weight
+
+    @cached_property
+    def pairs(self) -> Pairs:  # type: ignore[override]
+        """Where the values were measured."""
+        return self._samples[0]
+
+    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
+        """The measured values and their weights, float64."""
+        _, values, weight = self._samples
+        return values[materials][:, samples], weight[materials][:, samples]
+
+    def details(self, material: int) -> dict[str, object]:
+        """What the file says of itself, how it was read, and what its samples are like."""
+        wi, wo, values, valid, facts = self._read[material]
+        return {**facts, **summary(wi.numpy(), wo.numpy(), values.numpy(), valid.numpy())}
+
+
+_AS_IT_IS = "RGB as the file has it"
+_WORDS = {
+    "brdf": "BRDF, 1/sr",
+    "brdf_cosine": "BRDF times the cosine of the viewer's angle; divided by it",
+    "reflectance_factor": "reflectance factor; divided by pi",
+}
+
+
+def in_colors(listed: Listed, illuminant: str) -> tuple[np.ndarray, str]:
+    """Values as linear RGB, `(N, 3)`, and how they became so."""
+    if listed.values.shape[1] == 1:
+        return np.repeat(listed.values, 3, 1).astype(np.float64), colors_label([0.0])
+    if listed.wavelengths is None:
+        return np.array(listed.values, dtype=np.float64), _AS_IT_IS
+    with np.errstate(invalid="ignore", over="ignore"):
+        found = listed.values @ rgb_weights(listed.wavelengths, illuminant)
+    return found, colors_label(listed.wavelengths, illuminant)
+
+
+def _factor(quantity: str, cos_o: np.ndarray) -> np.ndarray:
+    """What a quantity is multiplied by to be a BRDF, `(N,)`."""
+    if quantity == "brdf":
+        return np.ones_like(cos_o)
+    return np.full_like(cos_o, 1 / np.pi) if quantity == "reflectance_factor" else 1 / np.maximum(cos_o, LEAST_COSINE)

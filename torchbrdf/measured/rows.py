@@ -1,0 +1,137 @@
+"""Text files of measurements: lines, and rows of numbers, as programs of many kinds write them."""
+
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.reading import check_unpacked, read_bytes
+
+# Of a cell while it is read: a text and a number of Python's.
+_BYTES_A_CELL = 100
+# How much of a file is looked at for what kind of file it is.
+HEAD = 8192
+
+
+class Rows(NamedTuple):
+    """Rows of numbers, and what was mended to read them.
+
+    Attributes:
+        numbers: `(N, columns)`, float64.
+        mended: In words; "" where nothing was.
+    """
+
+    numbers: np.ndarray
+    mended: str
+
+
+def head_lines(path: Path, head: bytes) -> list[str]:
+    """The lines that a text file begins with, stripped, without empty ones; none of a file that is no text.
+
+    Args:
+        path: The file.
+        head: Its first bytes, by which most files that are no text are told without opening them.
+    """
+    if not _is_text(head):
+        return []
+    try:
+        with path.open("rb") as file:
+            start = file.read(HEAD)
+    except OSError:
+        return []
+    if not _is_text(start):
+        return []
+    text = start.decode("utf-8", "replace").removeprefix("\ufeff")
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def _is_text(data: bytes) -> bool:
+    return bool(data) and b"\0" not in data and not data.startswith((b"PK", b"\x1f\x8b"))
+
+
+def text_lines(path: Path, expected: str) -> list[str]:
+    """All lines of a text file, stripped, whatever ends them.
+
+    Latin-1 stands in where it is no UTF-8, as in the names of operators and places in a header.
+
+    Raises:
+        DataError: It cannot be read, or is too large.
+    """
+    data = read_bytes(path, expected)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    return [line.strip() for line in text.splitlines()]
+
+
+def parse_rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Rows:
+    """Numbers of lines with a number for each column, which commas, semicolons, tabs or blanks part.
+
+    Lines that are empty or begin with "#" are passed over. Decimal commas are read where something else than commas
+    parts the numbers.
+
+    Args:
+        path: The file, for errors.
+        lines: The lines.
+        columns: How many numbers each has.
+        first: The number of the first of the lines in the file, counted from 1, for errors.
+
+    Raises:
+        DataError: Names the first line that has another count of numbers, or something else.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from torchbrdf.measured.rows import parse_rows
+        >>> parse_rows(Path("x"), ["1;2,5", "", "3;4"], 2, 1)
+        Rows(numbers=array([[1. , 2.5],
+               [3. , 4. ]]), mended='decimal commas')
+    """
+    own = [(k, line) for k, line in enumerate(lines, first) if line and line[0] != "#"]
+    check_unpacked(path, _BYTES_A_CELL * columns * len(own))
+    mark, decimal = _separator(own[0][1]) if own else (None, False)
+    texts = [line.replace(",", ".") if decimal else line for _, line in own]
+    cells = [text.split(mark) for text in texts]
+    if mark is not None:  # an empty cell behind the last one
+        cells = [row[:-1] if len(row) == columns + 1 and not row[-1] else row for row in cells]
+    for (number, _), row in zip(own, cells, strict=True):
+        if len(row) != columns:
+            raise DataError(f"{path}: line {number}: expected {columns} numbers, found {len(row)}")
+    try:
+        numbers = np.array(list(map(_number, chain.from_iterable(cells))), dtype=np.float64)
+    except ValueError:
+        raise DataError(_first_bad(path, [number for number, _ in own], cells)) from None
+    return Rows(numbers.reshape(-1, columns), "decimal commas" if decimal else "")
+
+
+def _number(cell: str) -> float:
+    found = float(cell)
+    if "_" in cell:  # which Python allows
+        raise ValueError
+    return found
+
+
+def _separator(line: str) -> tuple[str | None, bool]:
+    """What parts the numbers of a line, None for blanks, and whether they have decimal commas."""
+    decimal = "," in line and "." not in line
+    if ";" in line:
+        return ";", decimal
+    if "\t" in line:
+        return None, decimal
+    parts = line.split()
+    if "," in line and not (decimal and len(parts) > 1 and not any(part.endswith(",") for part in parts)):
+        return ",", False
+    return None, decimal
+
+
+def _first_bad(path: Path, numbers: Sequence[int], cells: Sequence[Sequence[str]]) -> str:
+    for number, row in zip(numbers, cells, strict=True):
+        for place, cell in enumerate(row, 1):
+            try:
+                _number(cell)
+            except ValueError:
+                return f"{path}: line {number}: expected a number in column {place}, found {shown(cell)}"
+    raise AssertionError("every cell is a number")

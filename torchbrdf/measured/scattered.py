@@ -1,0 +1,200 @@
+"""Values between scattered samples of isotropic materials, and how far the nearest sample is.
+
+Light and viewer can change places, and what is mirrored at the plane of incidence is the same: so a pair of directions
+is a place in three coordinates, of the half and difference angles. A sum of lobes is fitted to the samples, of given
+widths and with heights that are not negative. How far values are from it, compressed (log for large values, linear
+about 0, for those slightly below), is a curve over theta_h and a rest, and the rest is interpolated by inverse
+distances (R. Franke and G. Nielson, Smooth Interpolation of Large Sets of Scattered Data, 1980,
+doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that are left out: benchmarks/scattered.py.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.optimize import nnls
+from scipy.spatial import KDTree
+from torch import Tensor
+from torch.nn import functional
+
+from torchbrdf.pairs import Pairs
+
+NEIGHBOURS = 12
+"""Places that a value is made of."""
+_BINS = 40
+# How much of the lobe's coordinate counts beside the difference angle's: lobes are narrow, and change little with it.
+_HALF = 2.0
+# Of GGX lobes, alpha; cosines below _LEAST count as it. So many samples are enough to find their heights.
+_WIDTHS, _LEAST, _FITTED = np.geomspace(0.02, 0.7, 9), 0.02, 20_000
+# Samples nearer than so much, in the coordinates, are repetitions, and their mean counts.
+_SAME = 1e-4
+_TINY = 1e-9
+
+
+class Angles(NamedTuple):
+    """Half and difference angles of n pairs, radians, and the product cos_i cos_o, `(n,)` each.
+
+    phi_d is folded to [0, pi/2], by reciprocity and by the mirror.
+    """
+
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    phi_d: np.ndarray
+    cosines: np.ndarray
+
+    @classmethod
+    def of(cls, pairs: Pairs, row: int) -> "Angles":
+        """Of one material's pairs; every material's, where they share them."""
+        own = pairs.select([row])
+        theta_h, theta_d, cos_i, cos_o = (
+            part[0].double().cpu().numpy() for part in (own.theta_h, own.theta_d, own.cos_i, own.cos_o)
+        )
+        # |cos_i - cos_o| = 2 sin theta_h sin theta_d |cos phi_d|: where that is 0, phi_d does not matter.
+        sines = 2 * np.sin(theta_h) * np.sin(theta_d)
+        along = np.abs(cos_i - cos_o) / np.where(sines > _TINY, sines, 1)
+        cosines = np.maximum(cos_i, _LEAST) * np.maximum(cos_o, _LEAST)
+        return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines)
+
+    def _arm(self) -> np.ndarray:
+        """How far directions turn as phi_d does: about the half vector or about the normal, which is less."""
+        half, difference = np.sin(self.theta_h), np.sin(self.theta_d)
+        found: np.ndarray = half * difference / np.sqrt(half**2 + difference**2 + _TINY**2)
+        return found
+
+    def places(self) -> np.ndarray:
+        """Where samples are interpolated, `(n, 3)`: fine about the lobe, and even where values are."""
+        around = self._arm() * np.cos(2 * self.phi_d) / 2
+        return np.stack([_HALF * np.sqrt(self.theta_h), self.theta_d, around], -1)
+
+    def lobes(self) -> np.ndarray:
+        """A constant, and GGX lobes of given widths without and with Schlick's rise of Fresnel's, `(n, L)`, in 1/sr.
+
+        Source: B. Walter et al., Microfacet Models for Refraction through Rough Surfaces, 2007,
+        doi:10.2312/EGWR/EGSR07/195-206; the shadowing is E. Hammon's approximation, PBR Diffuse Lighting for GGX+Smith
+        Microsurfaces, 2017.
+        """
+        cos_h = np.maximum(np.cos(self.theta_h), _LEAST)[:, None]
+        tan2 = 1 / cos_h**2 - 1
+        distribution = _WIDTHS**2 / (math.pi * cos_h**4 * (_WIDTHS**2 + tan2) ** 2)
+        both = 2 * (cos_h * np.cos(self.theta_d)[:, None])  # cos_i + cos_o
+        product = self.cosines[:, None]
+        visible = distribution / (2 * ((1 - _WIDTHS) * 2 * product + _WIDTHS * np.maximum(both, _LEAST)))
+        rise = (1 - np.cos(self.theta_d)[:, None]) ** 5
+        return np.concatenate([np.ones_like(cos_h), visible, visible * rise], -1)
+
+    def turned(self) -> np.ndarray:
+        """Where distances are those by which both directions turn, `(n, 3)`, degrees."""
+        found: np.ndarray = np.stack([self.theta_h, self.theta_d, self._arm() * self.phi_d], -1) * (180 / math.pi)
+        return found
+
+
+class Near(NamedTuple):
+    """What values are made of at n pairs: places with their weights, `(n, k)`, theta_h, `(n,)`, and lobes, `(n, L)`."""
+
+    places: Tensor
+    weight: Tensor
+    theta_h: np.ndarray
+    lobes: np.ndarray
+
+
+class Places:
+    """Where samples are, repetitions once: what all materials share that were measured at the same pairs.
+
+    Args:
+        angles: Of the samples, N of them.
+    """
+
+    def __init__(self, angles: Angles) -> None:
+        found = angles.places()
+        steps = np.round(found / _SAME).astype(np.int64)
+        steps -= steps.min(0)
+        key = np.ravel_multi_index(tuple(steps.T), tuple(steps.max(0) + 1))
+        _, self.of_sample = np.unique(key, return_inverse=True)
+        self.count = np.bincount(self.of_sample)
+        self.angles = Angles(*(self.mean(one) for one in angles))
+        self._tree = KDTree(np.stack([self.mean(axis) for axis in found.T], -1))
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Of values `(N,)` of samples, those of places."""
+        found: np.ndarray = np.bincount(self.of_sample, values) / self.count
+        return found
+
+    def near(self, angles: Angles, neighbours: int = NEIGHBOURS) -> Near:
+        """The places about some pairs."""
+        count = min(neighbours, len(self.count))
+        distance, index = self._tree.query(angles.places(), count, workers=torch.get_num_threads())
+        distance, index = distance.reshape(-1, count), index.reshape(-1, count)
+        distance = np.maximum(distance, _TINY)
+        reach = distance[:, -1:] * 1.05
+        weight = np.square(1 / distance - 1 / reach)
+        weight /= weight.sum(1, keepdims=True)
+        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles.theta_h, angles.lobes())
+
+
+class Surface:
+    """Values of one material at places, and between them.
+
+    Beyond all samples the fitted lobes go on, times what the nearest places are off from them.
+
+    Args:
+        places: Where the samples are.
+        values: Of the samples, `(N, C)`, in 1/sr.
+    """
+
+    def __init__(self, places: Places, values: np.ndarray) -> None:
+        self.mean = mean = np.stack([places.mean(channel) for channel in values.T], -1)
+        size = np.abs(mean)
+        self.scale = max(float(np.quantile(size, 0.02)), 1e-3 * float(size.mean()), 1e-30)
+        lobes = places.angles.lobes()
+        some = slice(None, None, max(1, len(mean) // _FITTED))
+        self._heights = _heights(lobes[some], mean[some], self.scale)
+        off = self._compressed(mean) - self._compressed(lobes @ self._heights)
+        self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
+        self._rest = torch.from_numpy(off - self._along(places.angles.theta_h))
+
+    def _compressed(self, values: np.ndarray) -> np.ndarray:
+        found: np.ndarray = np.arcsinh(values / (2 * self.scale))
+        return found
+
+    def _along(self, theta_h: np.ndarray) -> np.ndarray:
+        place = np.sqrt(theta_h)
+        return np.stack([np.interp(place, self._knots, channel) for channel in self._curve.T], -1)
+
+    def at(self, near: Near) -> np.ndarray:
+        """Values at pairs whose near places are known, `(n, C)`, in 1/sr; of one place those of its samples."""
+        if near.places.shape[1] == 1:
+            return self.mean[near.places[:, 0].numpy()]
+        rest = functional.embedding_bag(near.places, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
+        smooth = self._compressed(near.lobes @ self._heights) + self._along(near.theta_h)
+        found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
+        return found
+
+
+def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
+    """How high lobes are, none below 0, for the least relative error, `(L, C)`.
+
+    What rises towards the horizon is the same in all channels, as Fresnel's reflection nearly is: each channel's own
+    would make colours of noise there.
+    """
+    white = slice(1 + len(_WIDTHS), None)
+    rise = _nonnegative(lobes, values.mean(1), scale)[white]
+    own = [_nonnegative(lobes[:, : white.start], one - lobes[:, white] @ rise, scale, one) for one in values.T]
+    return np.stack([np.concatenate([one, rise]) for one in own], -1)
+
+
+def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.ndarray | None = None) -> np.ndarray:
+    """Heights `(L,)` for values `(n,)`, a part of whole ones that errors are relative to."""
+    weight = 1 / (np.maximum(values if whole is None else whole, 0) + 4 * scale)
+    found: np.ndarray = nnls(lobes * weight[:, None], values * weight)[0]
+    return found
+
+
+def _curve(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Knots of a curve through values `(n, C)`: means over bins of as many each."""
+    edges = np.unique(np.quantile(place, np.linspace(0, 1, _BINS + 1)))
+    own = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(own)
+    full = count > 0
+    sums = [np.bincount(own, column)[full] / count[full] for column in (place, *values.T)]
+    return sums[0], np.stack(sums[1:], -1)

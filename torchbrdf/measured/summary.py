@@ -1,0 +1,69 @@
+"""What scattered samples are like: angles covered, what is missing or below 0, noise and reciprocity."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+# Degrees within which two samples are at the same directions, and angles of a light the same.
+_SAME, _STEP = 0.05, 0.1
+# A list of angles that is longer is said by its ends.
+_FEW = 12
+
+
+def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarray) -> dict[str, object]:
+    """Facts about samples, by name.
+
+    Args:
+        wi: Unit vectors to the light, `(N, 3)`.
+        wo: Unit vectors to the viewer, `(N, 3)`.
+        values: In 1/sr, `(N, 3)`.
+        valid: Which of them count, `(N,)`; one at least.
+    """
+    wi, wo, known = wi[valid], wo[valid], values[valid]
+    theta_i, theta_o = (np.degrees(np.arccos(np.clip(one[:, 2], -1, 1))) for one in (wi, wo))
+    turn = np.degrees(np.arctan2(wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0], wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1]))
+    facts: dict[str, object] = {
+        "angles of the light, degrees": _listed(theta_i),
+        "angles of the viewer, degrees": _listed(theta_o),
+    }
+    tilted = theta_i > _STEP
+    grain = np.unique(np.round(np.degrees(np.arctan2(wi[tilted, 1], wi[tilted, 0])) / _STEP) * _STEP % 360)
+    if len(grain) > 1:
+        facts["azimuths of the light"] = f"{len(grain)}: read as isotropic, by the mean over them"
+    facts |= {
+        "invalid share": float(1 - valid.mean()),
+        "negative share": float((known < 0).any(-1).mean()),
+    }
+    # The same light and viewer, mirrored or not; and with both exchanged.
+    here, there = (np.stack([*angles, np.abs(turn)], -1) for angles in ((theta_i, theta_o), (theta_o, theta_i)))
+    for one, arm in ((here, theta_o), (there, theta_o)):
+        one[:, 2] *= np.sin(np.radians(np.minimum(arm, theta_i)))
+    level = np.abs(known.mean(-1))
+    facts |= _spread("reciprocity error", here, there, known, level, theta_i < theta_o - _STEP)
+    sides = np.stack([theta_i, theta_o, turn * np.sin(np.radians(np.minimum(theta_i, theta_o)))], -1)
+    mirrored = sides * [1, 1, -1]
+    facts |= _spread("noise, by mirrored samples", sides, mirrored, known, level, (turn > 1) & (turn < 179))
+    return facts
+
+
+def _spread(
+    name: str, here: np.ndarray, there: np.ndarray, values: np.ndarray, level: np.ndarray, which: np.ndarray
+) -> dict[str, object]:
+    """How far values are from those of their partners, where there are some: a relative median."""
+    if not which.any():
+        return {}
+    distance, partner = KDTree(here).query(there[which], distance_upper_bound=_SAME)
+    found = np.isfinite(distance)
+    if not found.any():
+        return {}
+    one, other = np.flatnonzero(which)[found], partner[found]
+    mean = (level[one] + level[other]) / 2
+    apart = np.abs(values[one].mean(-1) - values[other].mean(-1)) / np.maximum(mean, 1e-30)
+    return {name: f"{100 * float(np.median(apart)):.2g} % (median of {len(one)} pairs of samples)"}
+
+
+def _listed(angles: np.ndarray) -> str:
+    """The angles, if they are few, else how many and from where to where."""
+    found = np.unique(np.round(angles / _STEP) * _STEP)
+    if len(found) <= _FEW:
+        return " ".join(f"{one:g}" for one in np.round(found, 1))
+    return f"{found[0]:.3g} to {found[-1]:.3g}, {len(found)} of them"

@@ -1,0 +1,102 @@
+"""BSDF interchange text of Zemax OpticStudio and LightTools: tables of scatter angles about the mirror direction."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
+
+_EXPECTED = "a BSDF interchange file"
+_AXES = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
+_SYMMETRIES = ("planesymmetrical", "asymmetrical", "asymmetrical4d")
+_LARGEST = 100_000
+# Of XYZ, the luminance; tables of the others are passed over.
+_CONTENTS = ("monochrome", "xyz")
+_NOT_MEASURED = 0.0
+
+
+@FORMATS.register("zemax")
+class Zemax(ListedFormat):
+    """The format of `.bsdf` text files of Zemax OpticStudio and LightTools, in degrees.
+
+    A scattered direction is given by `ScatterRadial`, its angle from the mirror direction, and `ScatterAzimuth` about
+    that, 0 towards the normal. A value of exactly 0 was not measured: it stands where instruments do not reach.
+    Tables of XYZ are read by their luminance, as grey.
+    """
+
+    format = "zemax"
+
+    @classmethod
+    def recognises(cls, path: Path, head: bytes) -> bool:
+        """Whether it is an interchange file, by names that its header has."""
+        names = {line.split(None, 1)[0].lower() for line in head_lines(path, head)}
+        return "scattertype" in names and "symmetry" in names
+
+    def parse(self, path: Path) -> Listed:
+        """What a file says."""
+        lines = text_lines(path, _EXPECTED)
+        words = {line.split(None, 1)[0].lower(): line.split()[1:] for line in lines if line and line[0] != "#"}
+        said = {key: " ".join(words.get(key, [])) for key in ("scattertype", "symmetry", "spectralcontent", "source")}
+        if said["scattertype"].lower() != "brdf":
+            raise DataError(f"{path}: ScatterType: expected BRDF, found {shown(said['scattertype'])}")
+        if said["symmetry"].lower() not in _SYMMETRIES or said["spectralcontent"].lower() not in _CONTENTS:
+            found = shown(f"{said['symmetry']}, {said['spectralcontent']}")
+            raise DataError(f"{path}: expected a known Symmetry, and Monochrome or XYZ, found {found}")
+        axes = [_axis(path, lines, name) for name in _AXES]
+        shape = [len(axis) for axis in axes]
+        if math.prod(shape) > _LARGEST * 100:
+            raise DataError(f"{path}: expected at most {100 * _LARGEST} values, found a table of {math.prod(shape)}")
+        values = _values(path, lines, shape, said["spectralcontent"].lower())
+        rotation, incidence, azimuth, radial = (np.radians(one) for one in np.meshgrid(*axes, indexing="ij"))
+        facts = {"angles": "degrees, about the mirror direction", "symmetry": said["symmetry"]}
+        facts |= {"content": said["spectralcontent"], "source": said["source"]}
+        # With light from +x the mirror direction lies towards -x.
+        toward = np.stack([np.cos(incidence), 0 * incidence, np.sin(incidence)], -1)
+        mirror = np.stack([-np.sin(incidence), 0 * incidence, np.cos(incidence)], -1)
+        across = np.stack([0 * incidence, 1 + 0 * incidence, 0 * incidence], -1)
+        turned = toward * np.cos(azimuth)[..., None] + across * np.sin(azimuth)[..., None]
+        wo = (mirror * np.cos(radial)[..., None] + turned * np.sin(radial)[..., None]).reshape(-1, 3)
+        theta_o = np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2])
+        turn, light = -rotation.reshape(-1), incidence.reshape(-1)
+        phi_o = np.arctan2(wo[:, 1], wo[:, 0]) + turn
+        angles = np.stack([light, turn, theta_o, phi_o], -1)
+        return Listed(angles, values.reshape(-1, 1), None, self.setting("quantity", "brdf"), facts)
+
+
+def _axis(path: Path, lines: list[str], name: str) -> np.ndarray:
+    """The angles of an axis: their count behind its name, and themselves in the lines that follow."""
+    for k, line in enumerate(lines):
+        first, *rest = line.split() or [""]
+        if first.lower() != name:
+            continue
+        if len(rest) == 1 and rest[0].isascii() and rest[0].isdigit() and len(rest[0]) < 9:
+            count = int(rest[0])
+            if 0 < count <= _LARGEST:
+                found: list[str] = []
+                for more in lines[k + 1 :]:
+                    if len(found) >= count:
+                        break
+                    found += more.split()
+                return parse_rows(path, [" ".join(found)], count, k + 2).numbers.reshape(-1)
+        raise DataError(f"{path}: {first}: expected a count of angles, found {shown(' '.join(rest))}")
+    raise DataError(f"{path}: expected a line {name}, found none")
+
+
+def _values(path: Path, lines: list[str], shape: list[int], content: str) -> np.ndarray:
+    """The table, `(rotations, incidences, azimuths, radials)`, nan where nothing was measured."""
+    low = [line.lower() for line in lines]
+    begins = [k for k, line in enumerate(low) if line == "databegin"]
+    wanted = 1 if content == "xyz" else 0  # X, Y, Z behind each other: Y
+    if len(begins) <= wanted:
+        raise DataError(f"{path}: expected DataBegin, found {len(begins)} of them")
+    start = begins[wanted]
+    end = next((k for k in range(start, len(low)) if low[k] == "dataend"), len(lines))
+    rows = ["#" if line.lower().startswith("tis") else line for line in lines[start + 1 : end]]
+    found = parse_rows(path, rows, shape[-1], start + 2).numbers
+    if len(found) != math.prod(shape[:-1]):
+        raise DataError(f"{path}: expected {math.prod(shape[:-1])} rows of values, found {len(found)}")
+    return np.where(found == _NOT_MEASURED, np.nan, found).reshape(shape)
