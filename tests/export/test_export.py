@@ -143,7 +143,7 @@ def test_a_measurement_that_ends_before_the_horizon_is_said(tmp_path: Path, merl
     measured = load(merl_file)
     assert len(export(measured, "pbrt", tmp_path, name="whole").notes) == 1
     (_, said) = export(measured.within(60), "pbrt", tmp_path, name="part").notes
-    assert said == "measured up to 60 degrees from the normal; beyond, the nearest values there are"
+    assert said == "measured up to 60 degrees from the normal; beyond, values are extrapolated"
     assert export(measured.within(60), "text", tmp_path).notes == ["exact: as text"]
 
 

@@ -207,7 +207,7 @@ def test_a_file_that_reaches_60_degrees_is_said_to(small_command, tmp_path, caps
     raw[:, np.minimum(high - across, high + across) < 0.5] = -1.0
     short = write_raw_merl(tmp_path / "short.binary", raw)
     assert small_command(short) == 0
-    said = "the measurement was measured only to 60 degrees from the normal; beyond, the nearest values stand in"
+    said = "the measurement was measured only to 60 degrees from the normal; beyond, values are extrapolated"
     assert f"  ! {said}" in capsys.readouterr().out.splitlines()
 
 

@@ -24,4 +24,4 @@ def reach(brdf: Brdf) -> list[str]:
     angle = measured_up_to(brdf)
     if angle >= NEARLY_ALL:
         return []
-    return [f"measured up to {angle:.0f} degrees from the normal; beyond, the nearest values there are"]
+    return [f"measured up to {angle:.0f} degrees from the normal; beyond, values are extrapolated"]

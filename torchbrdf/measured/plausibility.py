@@ -88,7 +88,7 @@ class Plausibility:
             )
         if self.reach < FAR_ENOUGH:
             found.append(
-                f"was measured only to {self.reach:.0f} degrees from the normal; beyond, the nearest values stand in"
+                f"was measured only to {self.reach:.0f} degrees from the normal; beyond, values are extrapolated"
             )
         if self.invalid > 0.01:
             found.append(f"has no valid value in {100 * self.invalid:.3g} % of samples within {RELIABLE:g} degrees")
