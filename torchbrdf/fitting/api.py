@@ -26,9 +26,9 @@ from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
 from torchbrdf.fitting.sampling import stratified
-from torchbrdf.fitting.scoring import errors
+from torchbrdf.fitting.scoring import errors_seen
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joined, strategy_name
-from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics
+from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics, without_idle_weight
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
@@ -272,9 +272,9 @@ class _FitSome:
         task = self._task(part, measured, whole, some, loss)
         outcome = self._run(task, values)
         fitted = with_parameters(part, outcome.values)
-        error = errors([fitted], whole, [loss])[0, 0]
-        subset_error = error if some is None else errors([fitted], some, [loss])[0, 0]
         values, counts, free = get_parameters(fitted), _counts(whole), task.all_free(self.fit_diffuse)
+        subset_error = errors_seen(fitted, task.objective, free)
+        error = subset_error if task.full is None else errors_seen(fitted, task.full, free)
         intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
         return _Fitted(values, outcome, error, subset_error, counts, intervals)
 
@@ -305,7 +305,7 @@ class _FitSome:
 
     def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:
         """What a loss asks of these materials: all of it, and the part that the solver sees, if that is not all."""
-        whole, index = _without_idle_weight(loss.problem(measured)), self.subset.index(loss)
+        whole, index = without_idle_weight(loss.problem(measured)), self.subset.index(loss)
         return whole, None if index is None else loss.select(whole, index.to(measured.device))
 
     def _task(self, model: Lobe, measured: Measured, whole: Problem, some: Problem | None, loss: Loss) -> Task:
@@ -390,10 +390,3 @@ def _set_diffuse(model: Lobe, measured: Measured) -> None:
     for part in diffuse:
         assert isinstance(part, Lambert)  # as diffuse_mode saw to it
         part.albedo.data = measured.diffuse_45_0().to(part.albedo)
-
-
-def _without_idle_weight(problem: Problem) -> Problem:
-    """Weights that are all 1 say nothing: leave them out of every step."""
-    if problem.weight is not None and bool((problem.weight == 1).all()):
-        return Problem(problem.pairs, problem.target)
-    return problem

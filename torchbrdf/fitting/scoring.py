@@ -8,8 +8,9 @@ from torch import Tensor
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis, predictor
 from torchbrdf.fitting.batching import parallel_map
-from torchbrdf.fitting.objective import QuadraticObjective
+from torchbrdf.fitting.objective import FitObjective, QuadraticObjective
 from torchbrdf.fitting.objective.factored import LEAST_PAIRS
+from torchbrdf.fitting.objective.pointwise import PointwiseObjective
 from torchbrdf.fitting.pair_factors import Probes, coefficients, factor_kinds, factors_of, groups_of, probes_of
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
@@ -133,6 +134,19 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
                 sums[k, b] += (penalty if counted is None else penalty * counted).sum((1, 2)).double()
     means = sums / totals[:, None]
     return torch.stack([loss.finalize(mean) for loss, mean in zip(losses, means, strict=True)]).cpu()
+
+
+def errors_seen(model: Lobe, objective: FitObjective, free: Parametrization) -> Tensor:
+    """The errors of a batched model on what an objective sees, `(M,)`, float64, on the CPU; free: what was moved.
+
+    Where it is laid out by half angles, with all that belongs to targets worked out, that is one of its passes.
+    """
+    if type(objective) is not PointwiseObjective or not factor_kinds(model) or objective.factored is None:
+        return errors([model], objective.problem, [objective.loss])[0, 0]
+    every = objective.material_indices
+    scale = torch.ones_like(every, dtype=torch.float64)
+    value, *_ = objective.evaluate(Basis(free), get_parameters(model), every, scale)
+    return objective.loss.finalize(value).cpu()
 
 
 def _predictions(

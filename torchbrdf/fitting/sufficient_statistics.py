@@ -150,11 +150,18 @@ class Gathered:
         return {id(loss): own for loss, own in zip(self.losses, joined, strict=True)}
 
 
+def without_idle_weight(problem: Problem) -> Problem:
+    """Weights that are all 1 say nothing: leave them out of every step."""
+    if problem.weight is not None and bool((problem.weight == 1).all()):
+        return Problem(problem.pairs, problem.target)
+    return problem
+
+
 def _gathered(
     losses: Sequence[Loss], kinds: Sequence[type[Lobe]], rows: list[int], measured: Measured
 ) -> list[SufficientStatistics]:
     """Of some materials, for each loss."""
-    problem = Problem(measured.pairs, measured.values, measured.weight)
+    problem = without_idle_weight(Problem(measured.pairs, measured.values, measured.weight))
     groups = groups_of(problem.pairs, LEAST_PAIRS)
     assert groups is not None
     return gather_statistics(problem, losses, kinds, groups)
@@ -224,7 +231,7 @@ class _Sums:
         weighted = target * counted[:, :, None]
         right = torch.bmm(weighted.flatten(1, 2), factors.mT).unflatten(1, target.shape[1:3])
         self.right.index_add_(0, group, right.mT)
-        self.zero += weighted.mul_(target).sum((0, 2, 3))
+        self.zero += weighted.mul_(target).flatten(2).sum(2).sum(0)
         for k in range(counted.shape[1]):
             self.gram[:, k].index_add_(0, group, torch.bmm(factors * counted[:, k, None], factors.mT))
 

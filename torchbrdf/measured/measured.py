@@ -170,6 +170,8 @@ class Measured:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Measured":
         """The same materials on another device or in another dtype; None leaves either as it is."""
+        if torch.device(device or self.device) == self.device and (dtype or self.dtype) == self.dtype:
+            return self
         return self._view(device=device or self.device, dtype=dtype or self.dtype)
 
     def batch(self, materials: Sequence[int] | None = None, samples: Tensor | None = None) -> "Measured":
@@ -187,7 +189,16 @@ class Measured:
             _check_samples(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
         if samples is not None and self.samples is not None:
             samples = self.samples[samples.to(self.samples.device)]
-        return self._view(materials=chosen, samples=self.samples if samples is None else samples)
+        found = self._view(materials=chosen, samples=self.samples if samples is None else samples)
+        if samples is None and "_data" in self.__dict__:
+            found._take_data(self, range(len(self)) if materials is None else [_row(k, len(self)) for k in materials])
+        return found
+
+    def _take_data(self, other: "Measured", rows: Sequence[int]) -> None:
+        """What another has read need not be read again, where these rows of it are one slice: no copy."""
+        if rows and list(rows) == list(range(rows[0], rows[-1] + 1)):
+            values, weight = other._data
+            self._data = values[rows[0] : rows[-1] + 1], weight[rows[0] : rows[-1] + 1]
 
     def within(self, max_theta: float) -> "Measured":
         """The same materials without directions near the horizon.
@@ -201,8 +212,10 @@ class Measured:
             ShapeError: The angle is out of range.
         """
         check_max_theta(max_theta)
-        limited = self._view(max_theta=min(max_theta, self.max_theta))
         pairs = self.source.pairs
+        if max_theta >= self.max_theta and (self.max_theta >= 90 or self.samples is not None or pairs.shape[0] > 1):
+            return self  # with what it has read
+        limited = self._view(max_theta=min(max_theta, self.max_theta))
         if max_theta < 90 and pairs.shape[0] == 1:
             keep = self._low(pairs, max_theta)[0]
             every = torch.arange(len(pairs), dtype=torch.int64, device="cpu")

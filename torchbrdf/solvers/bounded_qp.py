@@ -51,6 +51,10 @@ def _pivot(matrix: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     point = np.zeros_like(gradient)
     # -1 on the lower bound, 1 on the upper one, 0 free: at first what 0 lies on, if the slope pushes against it.
     side = np.where((lower >= 0) & (gradient > 0), -1.0, np.where((upper <= 0) & (gradient < 0), 1.0, 0.0))
+    if not side.any():  # as a rule the least lies within all bounds
+        point, room = solved(matrix, -gradient), 1e-10 * (upper - lower)
+        if ((point >= lower - room) & (point <= upper + room)).all():
+            return point.clip(lower, upper)
     rows, every = np.arange(len(gradient)), len(gradient)
     identity = np.eye(size)
     for k in range(3 * size + 3):

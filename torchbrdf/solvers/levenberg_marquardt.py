@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.solvers.bounded_qp import Array, solve_bounded_qp
-from torchbrdf.solvers.parabola import check_bounds, is_finite, promise
+from torchbrdf.solvers.parabola import check_bounds, promise
 from torchbrdf.solvers.status import RESOLUTION, SecondOrder, Solution, Status
 
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e9
@@ -64,8 +64,9 @@ def minimize_levenberg_marquardt(
 
     def evaluate(point: Array, rows: Array) -> tuple[Array, Array, Array, Array]:
         there = (torch.from_numpy(part).to(start.device) for part in (point, rows))
-        found = objective.quadratic_model(*there)
-        value, gradient, matrix, finite = (part.cpu().numpy() for part in (*found, is_finite(*found)))
+        value, gradient, matrix = (part.cpu().numpy() for part in objective.quadratic_model(*there))
+        with np.errstate(invalid="ignore", over="ignore"):  # a sum with what is not finite is not finite
+            finite = np.isfinite(value + gradient.sum(-1) + matrix.sum((-1, -2)))
         return value, gradient, matrix, finite
 
     rows = np.arange(problems)
