@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import torch
-from scipy.special import stdtrit
 from torch import Tensor
 
 from torchbrdf import kinds
@@ -110,7 +109,7 @@ def gauss_newton_intervals(
     gain = 0.5 * (gradient[:, None] @ covariance @ gradient[..., None])[:, 0, 0]
     left = counts.cpu().double() - inside.sum(1)
     spread = (2 * value[:, None] * torch.diagonal(covariance, dim1=1, dim2=2) / left.clamp_min(1)[:, None]).sqrt()
-    point = torch.from_numpy(stdtrit(left.clamp_min(1).numpy(), (1 + LEVEL) / 2))
+    point = _student(left.clamp_min(1))
     known = inside & ((gain <= NO_MINIMUM * value + objective.fmin) & (left > 0))[:, None]
     half = point[:, None] * spread
     ends = [torch.where(known, (x + sign * half).clamp(lower, upper), torch.nan) for sign in (-1, 1)]
@@ -137,9 +136,16 @@ def bootstrap_intervals(
         replicates = torch.cat([free.encode(drawn).cpu() for drawn in _refits(objective.select(k), own, free, seed)])
         found.append(replicates.std(0))
     blocks = min(BLOCKS, len(objective.problem.pairs))
-    half = torch.stack(found) * float(stdtrit(max(blocks - 1, 1), (1 + LEVEL) / 2))
+    half = torch.stack(found) * _student(torch.tensor(max(blocks - 1.0, 1.0), dtype=torch.float64, device="cpu"))
     ends = [torch.where(inside, (x + sign * half).clamp(lower, upper), torch.nan) for sign in (-1, 1)]
     return _intervals(ends[0], ends[1], values, free)
+
+
+def _student(degrees: Tensor) -> Tensor:
+    """The upper end of Student's interval for so many degrees of freedom."""
+    from scipy.special import stdtrit  # late, as it takes long to import
+
+    return torch.as_tensor(stdtrit(degrees.numpy(), (1 + LEVEL) / 2))
 
 
 def _refits(
