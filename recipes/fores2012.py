@@ -12,6 +12,8 @@ from torchbrdf.recipe import RECIPES, RunFolder
 from torchbrdf.study.simulation import NOISE
 
 GROVE = "grove"
+# Of the scenes; a quick run has a quarter of them.
+NODES, LIGHTS = 256, 1024
 OTHER = "another strategy to compare with, or none"
 
 
@@ -63,16 +65,17 @@ class Fores2012(FitGridRecipe):
 
         groups, bad = load_materials(self.materials, folder, self.quick)
         mesh, environment = find_mesh(self.shape), Environment.find(self.environment)
-        size, models = self.size, self.models
+        size, models, compared = self.size, self.models, self.compare_strategy
+        nodes, lights = NODES, LIGHTS
         if self.quick:
-            size = min(size, 64)
-            models = models[:1] if models == type(self).models else models  # what somebody asked for is not left out
-        scene, turned = (Scene(mesh, Camera(turn), environment, size=size) for turn in (0.0, self.turn))
+            size, nodes, lights = min(size, 64), NODES // 4, LIGHTS // 4
+            # What somebody asked for is not left out.
+            models = models[:1] if models == type(self).models else models
+            compared = None if compared == type(self).compare_strategy else compared
+        scene, turned = (Scene(mesh, Camera(turn), environment, size, nodes, lights) for turn in (0.0, self.turn))
         losses = {LOSSES.canonical(name): make_loss(name) for name in self.losses}
         lobes = (1, 2) if self.lobes == 1 else (self.lobes,)
-        grid = self.make_grid(
-            folder, groups, losses, models=models, lobes=lobes, compare_strategy=self.compare_strategy
-        )
+        grid = self.make_grid(folder, groups, losses, models=models, lobes=lobes, compare_strategy=compared)
         grid.fit()
         pictures = Pictures(grid, {ONLY: scene}, SHOWN_DIFFERENCES)
         pictures.draw()

@@ -9,6 +9,7 @@ import time
 import psutil
 import pytest
 
+from torchbrdf import memory
 from torchbrdf.parallel import Lost, process_map
 
 
@@ -49,6 +50,12 @@ def test_the_items_of_one_that_dies_are_done_again(processes, tmp_path, caplog):
 
     assert list(processes(work, range(8))) == [k * k for k in range(8)]
     assert "a worker process died; its work is done again" in caplog.text
+
+
+def test_they_share_the_limit_of_memory(processes):
+    with memory.limited(0.5):
+        assert set(processes(lambda k: memory.limit(), range(4))) == {2**28}
+    assert set(processes(lambda k: memory.limit(), range(4))) == {2**30}
 
 
 @pytest.mark.slow

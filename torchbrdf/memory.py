@@ -25,7 +25,8 @@ def limited(gib: float | None) -> Iterator[None]:
 
     It bounds what is kept of the transports of scenes, and the blocks of pictures that are drawn at a time; the tables
     themselves, torch and the finished pictures come beside. A transport that is larger than half of the limit is not
-    kept, but made anew in parts for each block: slower, and the same pictures. It is one limit for all threads.
+    kept, but made anew in parts for each block: slower, and the same pictures. It is one limit for all threads, and
+    worker processes share it evenly.
 
     Args:
         gib: In GiB, 0.01 to 65536; None leaves it as it is.

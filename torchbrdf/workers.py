@@ -20,6 +20,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from torchbrdf import memory
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -157,7 +159,7 @@ class Workers:
             data = packed(queue[0][1], _LARGEST_ITEM)
             try:
                 with _without_ctrl_c():  # it may start a worker in the place of one that was idle for long
-                    running[self._executor.submit(_work, key, call, data, _settings())] = queue[0]
+                    running[self._executor.submit(_work, key, call, data, _settings(count))] = queue[0]
             except BrokenProcessPool:
                 return False
             queue.popleft()
@@ -225,11 +227,12 @@ def _without_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _settings() -> tuple[Any, ...]:
-    """What a worker has to know of torch here, so that it computes what this process would."""
+def _settings(count: int) -> tuple[Any, ...]:
+    """What one of `count` workers has to know, so that it computes what this process would, in its share of memory."""
     import torch
 
-    return torch.get_default_dtype(), torch.get_default_device(), torch.get_float32_matmul_precision()
+    gib = max(memory.limit() / 2**30 / count, memory.LEAST)
+    return torch.get_default_dtype(), torch.get_default_device(), torch.get_float32_matmul_precision(), gib
 
 
 def packed_function(function: object) -> bytes:
@@ -308,11 +311,12 @@ def _work(key: bytes, call: bytes, item: bytes, settings: tuple[Any, ...]) -> by
     global _function
     if _function[0] != key:
         _function = key, _unpacked(call)
-    dtype, device, precision = settings
+    dtype, device, precision, gib = settings
     torch.set_default_dtype(dtype)
     torch.set_default_device(device)
     torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    answer: bytes = cloudpickle.dumps(_function[1](_unpacked(item)))
+    with memory.limited(gib):
+        answer: bytes = cloudpickle.dumps(_function[1](_unpacked(item)))
     return answer

@@ -6,10 +6,10 @@ while the bootstrap draws whole stretches of neighbours.
 """
 
 from collections.abc import Iterator, Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import torch
-from scipy.special import stdtrit
 from torch import Tensor
 
 from torchbrdf import kinds
@@ -25,6 +25,8 @@ from torchbrdf.losses import Problem
 NONE, GAUSS_NEWTON, BOOTSTRAP = kinds.INTERVALS
 METHODS = kinds.INTERVALS
 LEVEL = 0.95
+# Degrees of freedom for which the first terms of a series have all digits that an interval is told with.
+MANY = 1000
 # Stretches of neighbouring pairs that are drawn as one, draws, and draws that are refitted at a time.
 BLOCKS, DRAWS, AT_A_TIME = 100, 100, 10
 # A fit from which a step of all parameters would gain more than this share of the value is at no minimum.
@@ -110,7 +112,7 @@ def gauss_newton_intervals(
     gain = 0.5 * (gradient[:, None] @ covariance @ gradient[..., None])[:, 0, 0]
     left = counts.cpu().double() - inside.sum(1)
     spread = (2 * value[:, None] * torch.diagonal(covariance, dim1=1, dim2=2) / left.clamp_min(1)[:, None]).sqrt()
-    point = torch.from_numpy(stdtrit(left.clamp_min(1).numpy(), (1 + LEVEL) / 2))
+    point = _student(left.clamp_min(1))
     known = inside & ((gain <= NO_MINIMUM * value + objective.fmin) & (left > 0))[:, None]
     half = point[:, None] * spread
     ends = [torch.where(known, (x + sign * half).clamp(lower, upper), torch.nan) for sign in (-1, 1)]
@@ -137,9 +139,25 @@ def bootstrap_intervals(
         replicates = torch.cat([free.encode(drawn).cpu() for drawn in _refits(objective.select(k), own, free, seed)])
         found.append(replicates.std(0))
     blocks = min(BLOCKS, len(objective.problem.pairs))
-    half = torch.stack(found) * float(stdtrit(max(blocks - 1, 1), (1 + LEVEL) / 2))
+    half = torch.stack(found) * _student(torch.tensor(max(blocks - 1.0, 1.0), dtype=torch.float64, device="cpu"))
     ends = [torch.where(inside, (x + sign * half).clamp(lower, upper), torch.nan) for sign in (-1, 1)]
     return _intervals(ends[0], ends[1], values, free)
+
+
+def _student(degrees: Tensor) -> Tensor:
+    """The upper end of Student's interval for so many degrees of freedom.
+
+    Source: of that for many, M. Abramowitz, I. A. Stegun, Handbook of Mathematical Functions, 1964, 26.7.5.
+    """
+    if (degrees > MANY).all():
+        z = NormalDist().inv_cdf((1 + LEVEL) / 2)
+        first = (z**3 + z) / 4
+        second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
+        third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+        return z + first / degrees + second / degrees**2 + third / degrees**3
+    from scipy.special import stdtrit  # late, as it takes longer to import than a small fit
+
+    return torch.as_tensor(stdtrit(degrees.numpy(), (1 + LEVEL) / 2))
 
 
 def _refits(

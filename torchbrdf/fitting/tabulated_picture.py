@@ -5,10 +5,10 @@ small matrix, the product of the transport with the few entries of tables that e
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy import sparse
 from torch import Tensor
 
 from torchbrdf.fitting.tabulated_problem import TABLES, TabulatedProblem
@@ -16,6 +16,9 @@ from torchbrdf.lobes._microfacet import v_groove
 from torchbrdf.lobes.distribution_based import FRESNEL_NODES, NODES, distribution_place, fresnel_place
 from torchbrdf.lobes.fresnel import fresnel
 from torchbrdf.losses import CombinedLoss, Loss, Problem
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # A value of the metric whose root has no slope that is worth following.
 _LEAST = 1e-16
@@ -122,8 +125,10 @@ class _Cells:
         self.factors = [(geometry * fresnel(metric.values[own["f0"]], pairs)).cpu().numpy() for own in metric.lobes]
         self.lambert = (pairs.above_horizon.to(geometry) / math.pi).cpu().numpy()
 
-    def values_and_basis(self, x: np.ndarray, material: int, channel: int) -> tuple[np.ndarray, sparse.csr_matrix]:
+    def values_and_basis(self, x: np.ndarray, material: int, channel: int) -> "tuple[np.ndarray, sparse.csr_matrix]":
         """Values `(N,)` of one channel, and their derivatives by its variables `(N, P)`."""
+        from scipy import sparse  # late, as it takes long to import
+
         row = 0 if len(self.low_h) == 1 else material
         low_h, low_d, share_h, share_d = (one[row] for one in (self.low_h, self.low_d, self.share_h, self.share_d))
         lambert = self.lambert[row]

@@ -94,7 +94,7 @@ def check_leading(lobe: str, shapes: dict[str, tuple[int, ...]]) -> None:
         ShapeError: they do not.
     """
     try:
-        np.broadcast_shapes(*shapes.values())  # torch's own imports sympy, half a second
+        np.broadcast_shapes(*shapes.values())  # torch's own takes half a second to import what it needs
     except ValueError:
         shown = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
         raise ShapeError(f"{lobe}: expected leading dimensions that broadcast, found {shown}") from None

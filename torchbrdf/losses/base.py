@@ -3,6 +3,7 @@
 import inspect
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -75,6 +76,9 @@ class Loss(nn.Module):
     where fits under it were seen to look better so."""
     has_linear_encoding: ClassVar[bool] = False
     """Whether `encode` multiplies values by what depends on the pair alone; a subclass that gives `encode` says so."""
+    has_exposure: ClassVar[bool] = False
+    """Whether `encode` is `compress` of values times `exposure`: a class says so by giving `exposure`, and that it is
+    not by giving an `encode` of its own."""
     is_root: bool = True
     """Whether the error is the square root of what a fit minimises."""
 
@@ -86,8 +90,8 @@ class Loss(nn.Module):
         # What is derived from a method that is overridden is not inherited from further up.
         if "encode" in own and "has_linear_encoding" not in own:
             cls.has_linear_encoding = False
-        if own.keys() & {"encode", "encode_with_derivative"} and "exposure" not in own:
-            cls.exposure = Loss.exposure  # type: ignore[method-assign]
+        if own.keys() & {"exposure", "encode", "encode_with_derivative"}:
+            cls.has_exposure = "exposure" in own
         for method, derived in (
             ("encode", "encode_with_derivative"),
             ("compress", "compress_with_derivative"),
@@ -115,7 +119,7 @@ class Loss(nn.Module):
         closed_penalty = squares or kind.penalty_with_derivatives is not Loss.penalty_with_derivatives
         closed_compress = plain or kind.compress_with_derivative is not Loss.compress_with_derivative
         closed_encode = kind.encode_with_derivative is not Loss.encode_with_derivative
-        return closed_penalty and (closed_encode or (kind.exposure is not Loss.exposure and closed_compress))
+        return closed_penalty and (closed_encode or (kind.has_exposure and closed_compress))
 
     @property
     def is_quadratic(self) -> bool:
@@ -164,7 +168,7 @@ class Loss(nn.Module):
 
     def encode_with_derivative(self, values: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor]:
         """`encode`, and its derivative by each value; by autograd, unless a loss knows a shorter way."""
-        exposure = self.exposure(pairs)
+        exposure = self.exposure(pairs) if self.has_exposure else None
         if exposure is None:
             return derivatives.derivative_of(lambda point: self.encode(point, pairs), values)
         column = exposure[..., None]
@@ -229,7 +233,7 @@ class Loss(nn.Module):
         self._check(prediction, target, pairs, weight)
         prediction, target, pairs = self._widened(prediction, target, pairs)
         penalties = self.pointwise(prediction, target, pairs)
-        if penalties.shape[-2:] != torch.broadcast_shapes(prediction.shape[-2:], target.shape[-2:]):
+        if penalties.shape[-2:] != np.broadcast_shapes(prediction.shape[-2:], target.shape[-2:]):
             expected = f"expected a value for each of values {(*prediction.shape,)} from encode and penalty"
             raise ShapeError(f"{type(self).__name__}: {expected}, found {(*penalties.shape,)}")
         found = weighted_mean(penalties, self.effective_weight(pairs, weight))
@@ -297,7 +301,7 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
     """Mean over pairs and channels, `(..., N, C)` to `(...)`, summed and returned in float64."""
     if weight is None:
         return values.sum((-2, -1), dtype=torch.float64) / values.shape[-2:].numel()
-    weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
+    weight = weight.expand(np.broadcast_shapes(weight.shape, values.shape[-2:]))
     total = (values * weight).sum((-2, -1), dtype=torch.float64)
     return total / weight.sum((-2, -1), dtype=torch.float64)
 

@@ -7,7 +7,6 @@ doi:10.1093/biomet/31.3-4.324.
 from dataclasses import dataclass
 
 import torch
-from scipy import special
 from torch import Tensor
 
 from torchbrdf.psychophysics.comparisons import Comparisons
@@ -51,7 +50,7 @@ def kendall_agreement(comparisons: Comparisons) -> KendallAgreement:
     tested = whole & (m > 2)
     chi_square = (4 / (m - 2) * (agreeing - 1 - chance)).clamp(min=0).masked_fill(~tested, torch.nan)
     dof = (pairs * m * (m - 1) / (m - 2).square()).masked_fill(~tested, torch.nan)
-    p = torch.from_numpy(special.chdtrc(dof.numpy(), chi_square.numpy())).reshape(u.shape)
+    p = torch.special.gammaincc(dof / 2, chi_square / 2)  # of chi square
     return KendallAgreement(u.masked_fill(~whole | (m < 2), torch.nan), chi_square, dof, p)
 
 

@@ -1,12 +1,11 @@
 """What each observer's answers look like, and whose look odd. Nobody is ever left out by this: a person decides."""
 
 import math
+import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from statistics import median
 
 import torch
-from scipy import special
 from torch import Tensor
 
 from torchbrdf.psychophysics.comparisons import Comparisons, one_experiment
@@ -59,8 +58,6 @@ def observer_reports(
     or more and most observers do better. Simulated, 0 to 3 % of observers have a likelihood_z below -3 who are like
     the others (4 % with 6 trials each), and all who guess, from 75 trials with stimuli 0.5 units apart on average.
     """
-    from scipy import stats  # late, as it takes long to import
-
     answers = one_experiment(answers, experiment)
     comparisons = Comparisons.from_answers(answers)
     likely = agreement_with_others(comparisons, prior).tolist()
@@ -75,7 +72,7 @@ def observer_reports(
         catches = [answer for answer in own if answer.kind == "catch" and MEASURED in (answer.left, answer.right)]
         missed = sum(answer.chosen != MEASURED for answer in catches)
         sides = [answer.chosen == answer.left for answer in own if answer.kind != "catch"]
-        left_p = float(stats.binomtest(sum(sides), len(sides)).pvalue)
+        left_p = _by_chance(sum(sides), len(sides))
         times = [answer.response_time for answer in trials if not math.isnan(answer.response_time)]
         flags = []
         if likely[k] < UNLIKELY_Z:
@@ -83,7 +80,7 @@ def observer_reports(
         if left_p < ONE_SIDED_P:
             share = 100 * sum(sides) / len(sides)
             flags.append(f"chose the left side in {share:.0f} % of {len(sides)} trials (p = {left_p:.1g})")
-        if missed and special.bdtrc(missed - 1, len(catches), ATTENTIVE) < FAILED_P:
+        if _at_least(missed, len(catches), ATTENTIVE) < FAILED_P:
             flags.append(f"missed {missed} of {len(catches)} catch trials")
         if circular[k]:
             flags.append(circular[k])
@@ -100,7 +97,7 @@ def observer_reports(
                 missed=missed,
                 left=sum(sides) / len(sides),
                 left_p=left_p,
-                seconds=median(times) if times else math.nan,
+                seconds=statistics.median(times) if times else math.nan,
                 flags=flags,
             )
         )
@@ -149,13 +146,26 @@ def _triad_flags(wins: Tensor, triads: Tensor) -> list[str]:
     found = triads.nansum(-1)
     z = (found - mean) / variance.sqrt()
     triples = 4 * mean
-    by_chance = (z > special.ndtri(0.05)) & (triples >= FEWEST_TRIPLES)
+    likely = statistics.NormalDist().inv_cdf(0.05)
+    by_chance = (z > likely) & (triples >= FEWEST_TRIPLES)
     # Where stimuli are alike for everybody, nobody does better.
-    by_chance &= (z < special.ndtri(0.05)).to(torch.float64).mean() > 0.5
+    by_chance &= (z < likely).to(torch.float64).mean() > 0.5
     return [
         f"{found[k]:.0f} circular triads of {triples[k]:.0f} triples, no fewer than by chance" if by_chance[k] else ""
         for k in range(len(wins))
     ]
+
+
+def _by_chance(chosen: int, count: int) -> float:
+    """How likely one side of two is chosen as unevenly by chance, two-sided binomial p."""
+    return min(1.0, 2 * _at_least(max(chosen, count - chosen), count, 0.5))
+
+
+def _at_least(least: int, count: int, share: float) -> float:
+    """How likely so many of `count` come up, or more, of which each does with the probability `share`."""
+    binomial = torch.distributions.Binomial(count, torch.tensor(share, dtype=torch.float64, device="cpu"))
+    counts = torch.arange(least, count + 1, dtype=torch.float64, device="cpu")
+    return float(binomial.log_prob(counts).exp().sum())
 
 
 def _repeated(answers: Sequence[Answer]) -> tuple[int, int]:

@@ -1,9 +1,8 @@
 """Pictures as a loss: how far a BRDF's picture of a scene is from the measured one's."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from scipy import sparse
 from torch import Tensor
 
 from torchbrdf.color import luminance
@@ -17,6 +16,9 @@ from torchbrdf.reduction import Reduction
 from torchbrdf.render.scene import Scene
 from torchbrdf.render.side_by_side import SideBySide
 from torchbrdf.render.transport.transport import Transport
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Pixels that starts are compared by.
 _SUBSAMPLE = 1200
@@ -146,7 +148,7 @@ class RenderedLoss(ImageLoss):
         """Pictures of scalar functions as each channel of the light shows them."""
         return self._on(responses).columns(responses)
 
-    def observation_matrices(self) -> list[sparse.csr_matrix] | None:
+    def observation_matrices(self) -> "list[sparse.csr_matrix] | None":
         """The transport's, if it is kept in memory."""
         return self.transport.matrices() if self.transport.in_memory else None
 

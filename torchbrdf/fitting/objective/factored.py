@@ -123,7 +123,7 @@ class FactoredProblem:
         self.squares, self.one = type(loss).penalty is Loss.penalty, code.new_ones(())
         self._memory = code.new_empty(0)
         self.layout = kept(problem.pairs, Layout, lambda: Layout(problem.pairs, groups))
-        self.exposure = loss.exposure(problem.pairs)
+        self.exposure = loss.exposure(problem.pairs) if loss.has_exposure else None
         self.target, self.weight = self.layout.spread(code), None
         empty = self.layout.real == 0
         ends = empty.any(1).nonzero()[:, 0]

@@ -6,8 +6,6 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from scipy.optimize import minimize_scalar
-from scipy.special import betainc, betaln
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
@@ -163,6 +161,9 @@ def majority_of_people(triplets: Triplets) -> Tensor:
     symmetric beta distribution, whose one parameter makes the votes of all questions likeliest, it is right about a
     question with the probability that, after its votes, the larger vote is the larger share.
     """
+    from scipy.optimize import minimize_scalar  # late, as it takes long to import
+    from scipy.special import betainc, betaln
+
     a, b = triplets.votes.double().numpy().T
 
     def cost(logarithm: float) -> float:

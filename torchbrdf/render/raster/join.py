@@ -30,8 +30,6 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
         DataError: There is no triangle with an area, or a vertex of one is not finite, or the mesh is too large, too
             far away, or has too many triangles.
     """
-    import trimesh  # late, because it takes longer to import than the rest of this package
-
     vertices, faces, given = _concatenated(path, parts, say)
     center, radius = _extent(path, vertices[np.unique(faces)])
     with np.errstate(all="ignore"):  # of stray vertices
@@ -52,7 +50,7 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
         say(f"dropped {len(vertices) - len(used)} of {len(vertices)} vertices that no triangle refers to")
     vertices, scaled, given = vertices[used], scaled[used], given[used]
 
-    first, place = trimesh.grouping.unique_rows(scaled, digits=_DIGITS)
+    first, place = _places(scaled)
     welded = place[faces]
     if _inside_out(scaled[first], welded):
         say(f"closed and inside out; turned its {len(faces)} triangles")
@@ -62,7 +60,9 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
             given = -given
     lacking = np.isnan(given[:, 0])
     if lacking.any():
-        given[lacking] = _means(len(first), welded, flat, trimesh.triangles.angles(corners))[place][lacking]
+        from trimesh.triangles import angles  # late, because it takes longer to import than the rest of this package
+
+        given[lacking] = _means(len(first), welded, flat, angles(corners))[place][lacking]
     of_a_face = np.zeros_like(given)
     of_a_face[faces] = flat[:, None]
     without = ~given.any(1)
@@ -130,13 +130,23 @@ def _extent(path: Path, vertices: np.ndarray) -> tuple[np.ndarray, float]:
     return center, radius
 
 
+def _places(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first vertex at each place, and the place of each vertex."""
+    cells = np.round(scaled * 10**_DIGITS).astype(np.int64)
+    keys = cells.view(np.dtype((np.void, cells.itemsize * 3)))[:, 0]  # compared as a whole, which is quicker
+    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
+    return first, place
+
+
 def _inside_out(places: np.ndarray, faces: np.ndarray) -> bool:
     """Whether triangles close a surface and go round the wrong way."""
-    import trimesh
-
     a, b, c = places[faces].transpose(1, 0, 2)
     volume = (a * np.cross(b, c)).sum() / 6  # of the pyramids below each triangle
-    return bool(volume < 0 and trimesh.Trimesh(places, faces, process=False).is_watertight)
+    if volume >= 0:
+        return False
+    import trimesh
+
+    return bool(trimesh.Trimesh(places, faces, process=False).is_watertight)
 
 
 def _means(count: int, faces: np.ndarray, flat: np.ndarray, angles: np.ndarray) -> np.ndarray:

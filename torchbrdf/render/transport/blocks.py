@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy import sparse
 from torch import Tensor
 
 # What is added to an int16 to make all of its values columns.
@@ -75,6 +74,8 @@ class Block:
 
     def transposed(self, columns: int) -> "Block":
         """The transposed block: entries column by column, with the rows in the place of columns."""
+        from scipy import sparse  # late, as it takes long to import
+
         # scipy turns the pattern round in linear time; what it carries along says where each entry went.
         shape = (len(self.start) - 1, columns)
         order = np.arange(len(self.column), dtype=np.int32)

@@ -1,14 +1,16 @@
 """A picture as a linear function of BRDF values on a compact set of pairs: one sparse product."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from scipy import sparse
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
 from torchbrdf.render.transport.blocks import Block
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
 _AT_ONCE = 32
@@ -78,8 +80,10 @@ class Transport:
                     found[..., some] = found[..., some].index_add(1, block.rows, part)
         return found.permute(2, 0, 1)
 
-    def matrices(self) -> list[sparse.csr_matrix]:
+    def matrices(self) -> "list[sparse.csr_matrix]":
         """The matrix of each channel, `(P, N)`, on the CPU."""
+        from scipy import sparse  # late, as it takes long to import
+
         parts = [(block.rows.repeat_interleave(block.start.diff()), block.column, block.value) for block in self.blocks]
         rows, columns, values = (torch.cat(one, -1).cpu().numpy() for one in zip(*parts, strict=True))
         return [sparse.csr_matrix((own, (rows, columns)), (len(self.index), self.count)) for own in values]
