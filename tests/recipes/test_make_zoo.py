@@ -12,6 +12,9 @@ from torchbrdf.measured import standins
 from torchbrdf.recipe import run
 from torchbrdf.recipes import make_zoo
 
+# What a recipe takes from there when it runs.
+SEARCH = "torchbrdf.experiment.matching.search.find_matches"
+
 
 def tried(model, loss, delta_e76, lobes=None):
     made = make_model(model, lobes)
@@ -26,7 +29,7 @@ def matches(monkeypatch):
     def find(groups, target, budget, **more):
         return [Match(groups[0].names[0], None, [tried("gltf", "a", 2.0), tried("gltf", "b", 1.23456789)])]
 
-    monkeypatch.setattr(make_zoo, "find_matches", find)
+    monkeypatch.setattr(SEARCH, find)
 
 
 def test_of_each_model_the_nearest_is_kept(matches, tmp_path):
@@ -48,6 +51,9 @@ def test_it_says_where_materials_are_from(matches, tmp_path):
 def test_what_cannot_be_matched_is_said(monkeypatch, tmp_path, caplog):
     from torchbrdf.errors import DataError
 
-    monkeypatch.setattr(make_zoo, "find_matches", lambda *given, bad, **more: bad.append(DataError("nylon: no")) or [])
+    monkeypatch.setattr(
+        "torchbrdf.experiment.matching.search.find_matches",
+        lambda *given, bad, **more: bad.append(DataError("nylon: no")) or [],
+    )
     path = run(make_zoo.MakeZoo(), tmp_path / "out")
     assert json.loads(path.read_text()) == [] and "nylon: no" in caplog.text
