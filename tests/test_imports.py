@@ -41,6 +41,21 @@ def test_losses_and_lobes_pull_in_nothing_heavy() -> None:
     assert not extra & heavy
 
 
+def test_a_fit_and_a_picture_pull_in_nothing_that_they_do_not_need() -> None:
+    fitted = (
+        "import torch",
+        "from torchbrdf import fit, load",
+        "from torchbrdf.lobes import make_model",
+        "from torchbrdf.losses import RMSLoss",
+        "from torchbrdf.measured import standins",
+        "some = load(standins()).batch([0], torch.arange(0, 1_000_000, 997))",
+        "fit(make_model('ward'), some, RMSLoss())",
+    )
+    drawn = ("from torchbrdf.render import Scene, blob, render", "render(some, Scene(blob(), size=8, nodes=8))")
+    heavy = {"sympy", "trimesh", "networkx", "matplotlib", "jinja2"}
+    assert not loaded(*fitted, *drawn) & heavy
+
+
 @pytest.mark.parametrize("name", torchbrdf.__all__)
 def test_every_public_name_is_there(name: str) -> None:
     thing = getattr(torchbrdf, name)

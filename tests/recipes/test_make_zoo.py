@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from torchbrdf.experiment.matching import search
 from torchbrdf.experiment.matching.candidates import Candidate
 from torchbrdf.experiment.matching.judge import Figures
 from torchbrdf.experiment.matching.search import Match, Tried
@@ -12,6 +11,9 @@ from torchbrdf.lobes import FitRecord, make_model, parameters, read_fits
 from torchbrdf.measured import standins
 from torchbrdf.recipe import run
 from torchbrdf.recipes import make_zoo
+
+# What a recipe takes from there when it runs.
+SEARCH = "torchbrdf.experiment.matching.search.find_matches"
 
 
 def tried(model, loss, delta_e76, lobes=None):
@@ -27,7 +29,7 @@ def matches(monkeypatch):
     def find(groups, target, budget, **more):
         return [Match(groups[0].names[0], None, [tried("gltf", "a", 2.0), tried("gltf", "b", 1.23456789)])]
 
-    monkeypatch.setattr(search, "find_matches", find)
+    monkeypatch.setattr(SEARCH, find)
 
 
 def test_of_each_model_the_nearest_is_kept(matches, tmp_path):
@@ -49,6 +51,9 @@ def test_it_says_where_materials_are_from(matches, tmp_path):
 def test_what_cannot_be_matched_is_said(monkeypatch, tmp_path, caplog):
     from torchbrdf.errors import DataError
 
-    monkeypatch.setattr(search, "find_matches", lambda *given, bad, **more: bad.append(DataError("nylon: no")) or [])
+    monkeypatch.setattr(
+        "torchbrdf.experiment.matching.search.find_matches",
+        lambda *given, bad, **more: bad.append(DataError("nylon: no")) or [],
+    )
     path = run(make_zoo.MakeZoo(), tmp_path / "out")
     assert json.loads(path.read_text()) == [] and "nylon: no" in caplog.text

@@ -230,7 +230,8 @@ def test_every_recipe_runs_in_its_quick_form(name, tmp_path):
 
 # Few pairs to fit and to score.
 FEW_SETTINGS = {"quick": "true", "models": "ward", "samples": "500", "max_theta": "30", "size": "32"}
-SMALL = FEW_SETTINGS | {"lobes": "1"}
+# A quick study compares strategies only where another than its default is asked for.
+SMALL = FEW_SETTINGS | {"lobes": "1", "strategy": "staged", "compare_strategy": "global"}
 
 
 @pytest.fixture(scope="module")
@@ -261,7 +262,7 @@ def test_a_report_is_one_file_that_shows_every_picture(study):
     assert "http://" not in page and 'src="renders' not in page
     assert page.count("data:image/webp") == 2 * (1 + 1 + 3)  # reference, turned, three fits
     assert "Stand-ins." in page and "1 lobe or 2" in page
-    assert "Staged beside global" in page and "Does lower error look better?" in page
+    assert "Global beside staged" in page and "Does lower error look better?" in page
     assert (study / "figures" / "strategies.png").stat().st_size > 1000
 
 
@@ -286,9 +287,9 @@ def test_the_plan_of_a_study_is_served_as_it_is(study):
         assert material.stimuli[MEASURED].picture == f"renders/{material.name}-reference.png"
         for record in records:
             if record["material"] == material.name and "differences" in record:
-                staged = "-staged" if record["strategy"] == "staged" else ""
-                stimulus = material.stimuli[f"ward-{record['loss']}{staged}"]
-                assert stimulus.picture == f"renders/{material.name}-ward-{record['loss']}{staged}.png"
+                compared = "-global" if record["strategy"] == "global" else ""
+                stimulus = material.stimuli[f"ward-{record['loss']}{compared}"]
+                assert stimulus.picture == f"renders/{material.name}-ward-{record['loss']}{compared}.png"
                 assert stimulus.difference == record["differences"]["delta_e76"]
                 assert stimulus.outlier == record["outlier"]
 

@@ -181,14 +181,15 @@ class LightQuadrature:
         """In bins of half and difference angles: pairs in one are that of their mean place."""
         every = torch.arange(len(self.pixels), dtype=torch.int64, device="cpu")
         groups = list(every.split(max(CHUNK // self.length, 1)))
-        asked = every[:: max(len(every) // _ASKED, 1)].split(max(4 * CHUNK // self.length, 1))
+        apart = max(len(every) // _ASKED, 1)
+        asked = every[::apart].split(max(4 * CHUNK // self.length, 1))
         sums = np.zeros((4, math.prod(self.resolution)))
         for own in thread_map(self._sums, asked):
             sums += own
         filled = np.flatnonzero(sums[0])
         column = np.zeros(sums.shape[1], np.int32)
         column[filled] = np.arange(len(filled), dtype=np.int32)
-        if len(filled):  # what only pixels fill that were not asked is little, and near
+        if len(filled) and apart > 1:  # what only pixels fill that were not asked is little, and near
             column = column[nearest_valid((sums[0] > 0).reshape(self.resolution))]
         columns = torch.from_numpy(column)
 
