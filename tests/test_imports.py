@@ -41,6 +41,29 @@ def test_losses_and_lobes_pull_in_nothing_heavy() -> None:
     assert not extra & heavy
 
 
+@functools.cache
+def after_a_fit() -> frozenset[str]:
+    """The modules in memory after a model was made, fitted and scored."""
+    return loaded(
+        "import torch",
+        "from torchbrdf import fit, load",
+        "from torchbrdf.fitting import score",
+        "from torchbrdf.lobes import make_model",
+        "from torchbrdf.losses import LOSSES",
+        "from torchbrdf.measured import standins",
+        "some = load(standins()).batch([6], torch.arange(0, 900_000, 3000))",
+        "loss = LOSSES['cube_root']()",
+        "score(fit(make_model('ward', 1), some, loss).model, some, [loss])",
+        "loss.error(some.values, some.values, some.pairs, some.weight)",
+    )
+
+
+def test_a_fit_imports_no_computer_algebra() -> None:
+    """torch.broadcast_shapes does, which takes half a second."""
+    assert "torchbrdf" in after_a_fit()
+    assert "sympy" not in after_a_fit()
+
+
 @pytest.mark.parametrize("name", torchbrdf.__all__)
 def test_every_public_name_is_there(name: str) -> None:
     thing = getattr(torchbrdf, name)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, ItemsView, Sequence
 from types import ModuleType
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -358,7 +359,7 @@ class Pairs:
             >>> len(Pairs.joined([one, other]))
             5
         """
-        lead = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+        lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
 
         def whole(name: str) -> Tensor:
             return torch.cat([part._get(name).expand(*lead, len(part)) for part in parts], -1)

@@ -3,7 +3,7 @@
 import math
 from typing import Any, ClassVar
 
-import torch
+import numpy as np
 from torch import Tensor
 
 from torchbrdf.lobes._rough_dielectric import COSINES, transmittances
@@ -62,7 +62,7 @@ def _between(table: Value, cosine: Tensor) -> Value:
     index, share = low.long(), place - low
 
     def interpolated(numbers: Tensor) -> Tensor:
-        lead = torch.broadcast_shapes(numbers.shape[:-1], index.shape[:-1])
+        lead = np.broadcast_shapes(numbers.shape[:-1], index.shape[:-1])
         wide, at = numbers.expand(*lead, COSINES), index.expand(*lead, index.shape[-1])
         below, above = wide.gather(-1, at), wide.gather(-1, at + 1)
         return below + share * (above - below)

@@ -3,6 +3,7 @@
 import inspect
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -229,7 +230,7 @@ class Loss(nn.Module):
         self._check(prediction, target, pairs, weight)
         prediction, target, pairs = self._widened(prediction, target, pairs)
         penalties = self.pointwise(prediction, target, pairs)
-        if penalties.shape[-2:] != torch.broadcast_shapes(prediction.shape[-2:], target.shape[-2:]):
+        if penalties.shape[-2:] != np.broadcast_shapes(prediction.shape[-2:], target.shape[-2:]):
             expected = f"expected a value for each of values {(*prediction.shape,)} from encode and penalty"
             raise ShapeError(f"{type(self).__name__}: {expected}, found {(*penalties.shape,)}")
         found = weighted_mean(penalties, self.effective_weight(pairs, weight))
@@ -297,7 +298,7 @@ def weighted_mean(values: Tensor, weight: Tensor | None) -> Tensor:
     """Mean over pairs and channels, `(..., N, C)` to `(...)`, summed and returned in float64."""
     if weight is None:
         return values.sum((-2, -1), dtype=torch.float64) / values.shape[-2:].numel()
-    weight = weight.expand(torch.broadcast_shapes(weight.shape, values.shape[-2:]))
+    weight = weight.expand(np.broadcast_shapes(weight.shape, values.shape[-2:]))
     total = (values * weight).sum((-2, -1), dtype=torch.float64)
     return total / weight.sum((-2, -1), dtype=torch.float64)
 

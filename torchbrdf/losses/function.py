@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -60,7 +61,7 @@ class FunctionLoss(Loss):
     ) -> Tensor:
         """What the function says of each material, `(...)`, float64."""
         self._check(prediction, target, pairs, weight)
-        lead = torch.broadcast_shapes(prediction.shape[:-2], target.shape[:-2])
+        lead = np.broadcast_shapes(prediction.shape[:-2], target.shape[:-2])
         whole = (*lead, *target.shape[-2:])
         one, other = (values.expand(whole).reshape(-1, *whole[-2:]) for values in (prediction, target))
         if weight is not None:
@@ -97,7 +98,7 @@ class FunctionLoss(Loss):
         if own is None or equal:
             return values.mean()
         counts = own.double().expand_as(values) if own.shape[-1] == 1 else own.double()
-        return (values * counts).sum() / counts.expand(torch.broadcast_shapes(counts.shape, values.shape)).sum()
+        return (values * counts).sum() / counts.expand(np.broadcast_shapes(counts.shape, values.shape)).sum()
 
 
 def as_loss(loss: Any) -> Loss:
