@@ -7,6 +7,7 @@ from torchbrdf.fitting.layout import Layout
 from torchbrdf.fitting.objective import make_objective
 from torchbrdf.fitting.pair_factors import Groups
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
+from torchbrdf.fitting.scoring import errors, errors_seen
 from torchbrdf.lobes import LOBES, Lambert, Sum, make_model
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials
 from torchbrdf.losses import LOSSES, CubeRootLoss, Loss, Problem
@@ -190,3 +191,14 @@ def test_a_lobe_alone_that_is_held_has_no_derivatives():
     model = Sum(Lambert()).batched(2).double()
     given, free = problem(), Parametrization(model, free_parameters(model, [0]))
     assert_equal(given, CubeRootLoss(), model, free)
+
+
+@pytest.mark.parametrize("weights", ["none", "own", "shared"])
+@pytest.mark.parametrize("name", ["cook_torrance", "ward", "ggx"])
+def test_errors_of_what_an_objective_sees_are_those_of_the_pairs(name, weights):
+    some, loss = problem(weights), CubeRootLoss()
+    model = model_of(["lambert", name, name])
+    objective = make_objective(model, some, loss)
+    free = Parametrization(model, free_parameters(model, [1, 2]))
+    expected = errors([model], some, [loss])[0, 0]
+    assert torch.allclose(errors_seen(model, objective, free), expected, rtol=1e-12)

@@ -71,6 +71,26 @@ def test_within_leaves_out_grazing_pairs(which, limit, request):
     assert len(limited) == len(measured)
 
 
+@pytest.mark.parametrize("which", ["table", "felts", "samples"])
+def test_what_was_read_is_not_read_again(which, request, monkeypatch):
+    """By the same materials within the same angle, nor by a run of them; others are read."""
+    measured = request.getfixturevalue(which).within(80)
+    assert measured.within(80) is measured.within(85) is measured.to(dtype=measured.dtype) is measured
+    unread = measured.batch([0])
+    values, weight = measured.values, measured.weight
+    last = len(measured) - 1
+    monkeypatch.setattr(type(measured.source), "read", lambda *_: pytest.fail("read again"))
+    for rows in (None, [0], [last], list(range(len(measured)))):
+        part = measured.batch(rows)
+        expected = slice(None) if rows is None else rows
+        assert torch.equal(part.values, values[expected])
+        assert torch.equal(part.weight, weight[expected])
+        assert part.values.untyped_storage().data_ptr() == values.untyped_storage().data_ptr()
+    with pytest.raises(pytest.fail.Exception):
+        unread.values  # noqa: B018 (was made before)
+    assert measured.within(40).max_theta == 40
+
+
 @pytest.mark.parametrize("limit", [0, -1, 90.5, math.nan])
 def test_within_refuses(samples, limit):
     with pytest.raises(UsageError, match="max_theta: expected an angle above 0 and at most 90"):
