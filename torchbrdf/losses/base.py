@@ -1,6 +1,7 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
 import inspect
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -87,7 +88,9 @@ class Loss(nn.Module):
         # What is derived from a method that is overridden is not inherited from further up.
         if "encode" in own and "has_linear_encoding" not in own:
             cls.has_linear_encoding = False
-        if own.keys() & {"encode", "encode_with_derivative"} and "exposure" not in own:
+        if "exposure" in own:
+            cls._exposure_of_encode = own["exposure"]
+        elif own.keys() & {"encode", "encode_with_derivative"}:  # which may call the former encode still
             cls.exposure = Loss.exposure  # type: ignore[method-assign]
         for method, derived in (
             ("encode", "encode_with_derivative"),
@@ -141,6 +144,8 @@ class Loss(nn.Module):
         """What `encode` multiplies values by before all else, `(..., N)`; None: `encode` says all there is."""
         return None
 
+    _exposure_of_encode: ClassVar[Callable[..., Tensor | None]] = exposure
+
     def compress(self, x: Tensor) -> Tensor:
         """What is compared of values times `exposure`: these as they are."""
         return x
@@ -156,7 +161,7 @@ class Loss(nn.Module):
 
     def encode(self, values: Tensor, pairs: Pairs | None) -> Tensor:
         """What is compared of each value, `(..., N, C)`."""
-        exposure = self.exposure(pairs)
+        exposure = type(self)._exposure_of_encode(self, pairs)
         if exposure is None:
             raise NotImplementedError(
                 f"{type(self).__name__}: expected a method encode, error or forward, found none of them"
