@@ -68,7 +68,7 @@ def test_what_merl_tables_have_not_is_said(tmp_path: Path) -> None:
     notes = export(path, "merl", tmp_path / "out").notes
     assert "negative channels, in " in notes[1] and "of the bins, are 0" in notes[1]
     assert notes[2] == "measured up to 60 degrees from the normal; beyond, values are extrapolated"
-    assert measured_up_to(PAINT) == 90
+    assert measured_up_to(PAINT) == (90, 90)
 
 
 class Skewed(Lobe):

@@ -201,4 +201,4 @@ def test_errors_of_what_an_objective_sees_are_those_of_the_pairs(name, weights):
     objective = make_objective(model, some, loss)
     free = Parametrization(model, free_parameters(model, [1, 2]))
     expected = errors([model], some, [loss])[0, 0]
-    assert torch.allclose(errors_seen(model, objective, free), expected, rtol=1e-12)
+    assert torch.allclose(errors_seen(model, some, loss, objective, free), expected, rtol=1e-12)

@@ -11,7 +11,9 @@ from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, corn
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.measured import describe, load
+from torchbrdf.export.materials import find_materials
+from torchbrdf.export.tables import reach
+from torchbrdf.measured import check, describe, load
 from torchbrdf.measured.bands import rgb_weights
 
 TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
@@ -248,3 +250,20 @@ def test_the_command_is_told_what_a_file_does_not_say(tmp_path, capsys):
     for wrong, says in (("illuminant=F", "unknown illuminant 'F'"), ("angle", "--read: expected NAME=VALUE")):
         assert main(["info", path, "--read", wrong]) == 2
         assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["match"], ["export", "--to", "merl", "--out", "out"]])
+def test_every_command_that_reads_is_told(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = str(written(tmp_path, astm()))
+    assert main([*command, path, "--read", "illuminant=F"]) == 2
+    assert "unknown illuminant 'F'" in capsys.readouterr().err
+    (material,) = find_materials(path, [], settings={"quantity": "reflectance_factor"})
+    torch.testing.assert_close(material.brdf.values * math.pi, load(path).values)
+
+
+def test_what_was_measured_is_said_of_light_and_viewer(tmp_path):
+    measured = opened(tmp_path, columns())
+    said = "with the light up to 60 degrees from the normal, the viewer up to 80; beyond, values are extrapolated"
+    assert f"was measured only {said}" in check(measured)[0].warnings()
+    assert reach(measured) == [f"measured {said}"]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, add_memory, described, say
+from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS, check_model
 
@@ -44,6 +44,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--loss", help="only fits under this loss, such as learned")
     parser.add_argument("--mesh", help="gltf: blob (default), sphere, or a mesh file")
     add_memory(parser)
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -62,7 +63,7 @@ def command(options: Options) -> int:
     exporter = find_exporter(options.to, None if options.mesh is None else find_mesh(options.mesh))
     bad: list[TorchbrdfError] = []
     chosen = {key: getattr(options, key) for key in ("material", "model", "loss")}
-    materials = find_materials(options.files, bad, **chosen)
+    materials = find_materials(options.files, bad, settings=read_settings(options), **chosen)
     for error in bad:
         _left_out(error)
     if not materials:

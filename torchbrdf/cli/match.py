@@ -2,7 +2,7 @@
 
 import sys
 
-from torchbrdf.cli.common import Commands, Options, add_memory, described, say
+from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS
 from torchbrdf.registry import unknown
@@ -43,6 +43,7 @@ def add(commands: Commands) -> None:
         help="how much is tried: quick, default, thorough, or seconds after which nothing else is begun",
     )
     add_memory(parser)
+    add_reading(parser)
     parser.set_defaults(command=command)
 
 
@@ -59,7 +60,13 @@ def command(options: Options) -> int:
 
     bad: list[TorchbrdfError] = []
     found = match(
-        options.files, options.target, options.out, budget=options.budget, progress=progress_bar("fits"), bad=bad
+        options.files,
+        options.target,
+        options.out,
+        budget=options.budget,
+        progress=progress_bar("fits"),
+        bad=bad,
+        settings=read_settings(options),
     )
     for error in bad:
         say(f"torchbrdf: left out: {error}", to=sys.stderr)

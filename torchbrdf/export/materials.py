@@ -1,6 +1,6 @@
 """The materials of files: every one that can be exported, and why another cannot."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
@@ -8,7 +8,7 @@ from torchbrdf.export.api import material_of
 from torchbrdf.export.base import Material
 from torchbrdf.lobes import FitRecord, read_fits
 from torchbrdf.measured import StandIn, load_all
-from torchbrdf.measured.load import Paths, find_files, format_of
+from torchbrdf.measured.load import Paths, check_settings, find_files, format_of
 
 # What chooses among the fits of a file.
 CHOICES = ("material", "model", "loss")
@@ -21,6 +21,7 @@ def find_materials(
     material: str | None = None,
     model: str | None = None,
     loss: str | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> list[Material]:
     """What files hold as materials with names of their own.
 
@@ -30,6 +31,7 @@ def find_materials(
         material: Only this one.
         model: Only fits of this model.
         loss: Only fits under this loss.
+        settings: What measured files do not say, as of `torchbrdf.load`.
 
     Returns:
         The materials; the fits of a material that has several are named with their model, lobes and loss.
@@ -55,9 +57,11 @@ def find_materials(
         except DataError as error:
             unread.append(error)
     bad += unread
+    if records and not measured:
+        check_settings([StandIn.format], settings)
     choice = dict(zip(CHOICES, (material, model, loss), strict=True))
     chosen = [record for record in records if all(want in (None, getattr(record, key)) for key, want in choice.items())]
-    found = [*_fits(chosen, bad), *(_tables(measured, material, bad) if model is None and loss is None else ())]
+    found = [*_fits(chosen, bad), *(_tables(measured, material, bad, settings) if model is None and loss is None else ())]
     if not found and not bad and (records or measured):
         raise _nothing(choice, records)
     return found
@@ -74,9 +78,11 @@ def _fits(records: Sequence[FitRecord], bad: list[TorchbrdfError]) -> Iterator[M
             bad.append(error)
 
 
-def _tables(paths: Sequence[Path], material: str | None, bad: list[TorchbrdfError]) -> Iterator[Material]:
+def _tables(
+    paths: Sequence[Path], material: str | None, bad: list[TorchbrdfError], settings: Mapping[str, str] | None
+) -> Iterator[Material]:
     unread: list[DataError] = []
-    groups = load_all(paths, bad=unread) if paths else []
+    groups = load_all(paths, bad=unread, settings=settings) if paths else []
     bad += unread
     for group in groups:
         for k, name in enumerate(group.names):

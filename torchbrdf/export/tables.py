@@ -21,7 +21,5 @@ def copied(path: Path, measured: Measured) -> Exported:
 
 def reach(brdf: Brdf) -> list[str]:
     """A note on what was not measured, if that is a part of pictures."""
-    angle = measured_up_to(brdf)
-    if angle >= NEARLY_ALL:
-        return []
-    return [f"measured up to {angle:.0f} degrees from the normal; beyond, values are extrapolated"]
+    found = measured_up_to(brdf)
+    return [] if found.both >= NEARLY_ALL else [f"measured {found.words('up to')}; beyond, values are extrapolated"]

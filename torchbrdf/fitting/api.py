@@ -273,8 +273,9 @@ class _FitSome:
         outcome = self._run(task, values)
         fitted = with_parameters(part, outcome.values)
         values, counts, free = get_parameters(fitted), _counts(whole), task.all_free(self.fit_diffuse)
-        subset_error = errors_seen(fitted, task.objective, free)
-        error = subset_error if task.full is None else errors_seen(fitted, task.full, free)
+        seen = whole if some is None else some
+        subset_error = errors_seen(fitted, seen, loss, task.objective, free)
+        error = subset_error if some is None else errors_seen(fitted, whole, loss, task.full, free)
         intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
         return _Fitted(values, outcome, error, subset_error, counts, intervals)
 

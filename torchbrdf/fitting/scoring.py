@@ -136,17 +136,19 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
     return torch.stack([loss.finalize(mean) for loss, mean in zip(losses, means, strict=True)]).cpu()
 
 
-def errors_seen(model: Lobe, objective: FitObjective, free: Parametrization) -> Tensor:
-    """The errors of a batched model on what an objective sees, `(M,)`, float64, on the CPU; free: what was moved.
+def errors_seen(
+    model: Lobe, problem: Problem, loss: Loss, objective: FitObjective | None, free: Parametrization
+) -> Tensor:
+    """The errors of a batched model on the problem that an objective was made of, `(M,)`, float64, on the CPU.
 
     Where it is laid out by half angles, with all that belongs to targets worked out, that is one of its passes.
     """
     if type(objective) is not PointwiseObjective or not factor_kinds(model) or objective.factored is None:
-        return errors([model], objective.problem, [objective.loss])[0, 0]
+        return errors([model], problem, [loss])[0, 0]
     every = objective.material_indices
     scale = torch.ones_like(every, dtype=torch.float64)
     value, *_ = objective.evaluate(Basis(free), get_parameters(model), every, scale)
-    return objective.loss.finalize(value).cpu()
+    return loss.finalize(value).cpu()
 
 
 def _predictions(

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured.measured import Measured
-from torchbrdf.measured.tables import measured_up_to
+from torchbrdf.measured.tables import Reach, measured_up_to
 from torchbrdf.pairs import Pairs
 
 ANGLES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 80.0, 83.0, 86.0, 88.0)
@@ -42,6 +42,8 @@ class Plausibility:
         below_zero: the share of random directions with a value below 0.
         invalid: the share of samples within 80 degrees that are not valid in the file; 0 of a model.
         reach: the angle from the normal, in degrees, up to which both directions were measured; 90 of a model.
+        reach_light: that of the light alone.
+        reach_viewer: that of the viewer alone.
     """
 
     name: str
@@ -52,6 +54,8 @@ class Plausibility:
     below_zero: float
     invalid: float
     reach: float
+    reach_light: float
+    reach_viewer: float
 
     @property
     def largest_albedo(self) -> tuple[float, float]:
@@ -87,9 +91,8 @@ class Plausibility:
                 f"has a channel below 0 at {100 * self.below_zero:.2g} % of directions, down to {self.lowest:.2g} / sr"
             )
         if self.reach < FAR_ENOUGH:
-            found.append(
-                f"was measured only to {self.reach:.0f} degrees from the normal; beyond, values are extrapolated"
-            )
+            reach = Reach(self.reach_light, self.reach_viewer).words("to")
+            found.append(f"was measured only {reach}; beyond, values are extrapolated")
         if self.invalid > 0.01:
             found.append(f"has no valid value in {100 * self.invalid:.3g} % of samples within {RELIABLE:g} degrees")
         return found
@@ -170,9 +173,11 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
             there[m].amin().item(),
             (there[m] < 0).any(-1).double().mean().item(),
             _invalid(own) if isinstance(own, Measured) else 0.0,
-            measured_up_to(own),
+            min(reach),
+            *reach,
         )
         for m, (name, own) in enumerate(zip(names, each, strict=True))
+        for reach in [measured_up_to(own)]
     ]
 
 

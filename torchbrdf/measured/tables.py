@@ -1,5 +1,7 @@
 """Any BRDF, fitted or measured, at the places that a table has."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -55,8 +57,31 @@ def check_single(brdf: Brdf) -> None:
         raise UsageError(f"a table: expected one material, found {count}")
 
 
-def measured_up_to(brdf: Brdf) -> float:
-    """The angle from the normal, in degrees, up to which both directions of a BRDF were measured; 90 of a lobe.
+class Reach(NamedTuple):
+    """Up to which angles from the normal, in degrees, the light and the viewer of a BRDF were measured."""
+
+    light: float
+    viewer: float
+
+    @property
+    def both(self) -> float:
+        """The angle up to which both were."""
+        return min(self)
+
+    def words(self, to: str) -> str:
+        """Both angles, or the one that they have in common behind `to`.
+
+        Example:
+            >>> Reach(60.0, 61.0).words("up to"), Reach(60.0, 89.0).words("up to")
+            ('up to 60 degrees from the normal', 'with the light up to 60 degrees from the normal, the viewer up to 89')
+        """
+        if abs(self.light - self.viewer) <= RING:
+            return f"{to} {self.both:.0f} degrees from the normal"
+        return f"with the light up to {self.light:.0f} degrees from the normal, the viewer up to {self.viewer:.0f}"
+
+
+def measured_up_to(brdf: Brdf) -> Reach:
+    """The angles from the normal, in degrees, up to which the directions of a BRDF were measured; 90 of a lobe.
 
     Up to it most samples are valid, so that a few beyond do not count; and beyond, there is none with such an
     incident, or such an outgoing, direction.
@@ -65,29 +90,31 @@ def measured_up_to(brdf: Brdf) -> float:
         brdf: A lobe, or one measured material.
 
     Returns:
-        The angle; 0 without any valid sample.
+        The angles; 0 without any valid sample.
 
     Example:
         >>> from torchbrdf.measured import load, standins
-        >>> round(measured_up_to(load(standins()).batch([6])))
+        >>> round(measured_up_to(load(standins()).batch([6])).both)
         90
     """
     if not isinstance(brdf, Measured):
-        return 90.0
+        return Reach(90.0, 90.0)
     count = len(brdf.pairs)
     some = brdf.batch(samples=torch.arange(0, count, max(count // SEEN, 1), dtype=torch.int64, device="cpu"))
     pairs, valid = some.pairs.select([0]), some.weight[0, :, 0] > 0
     above = pairs.above_horizon[0]
     valid = valid & above
     if not valid.any():
-        return 0.0
+        return Reach(0.0, 0.0)
     theta_i, theta_o = (angle_from_normal(cosine[0]) for cosine in (pairs.cos_i, pairs.cos_o))
     farther = torch.maximum(theta_i, theta_o)
     ring = (farther / RING).long().clamp_max(int(90 / RING) - 1)
     known, every = (torch.bincount(ring[own], minlength=int(90 / RING)) for own in (valid, above))
     mostly = valid & (2 * known >= every)[ring]
     last = farther[mostly].max() if mostly.any() else torch.zeros_like(farther[0])
-    return float(torch.stack([last, theta_i[valid].max(), theta_o[valid].max()]).min())
+    found = Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
+    # A table has no value where either angle is beyond, so that one angle says all of it.
+    return found if brdf.is_scattered else Reach(found.both, found.both)
 
 
 def angle_from_normal(cosine: Tensor) -> Tensor:

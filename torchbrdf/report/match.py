@@ -1,7 +1,7 @@
 """`match`: from measured files to materials of a renderer, with a page that shows how near they are."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
@@ -42,6 +42,7 @@ def match(
     scenes: dict[str, Scene] | None = None,
     progress: Progress = quiet,
     bad: list[TorchbrdfError] | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> list[Finished]:
     """Find the simplest model that looks like each material, and write it for a renderer.
 
@@ -58,6 +59,7 @@ def match(
         scenes: That judge, by name; by default those of `torchbrdf.render.unseen_scenes`.
         progress: Of the fits.
         bad: Gets what cannot be matched, so that the others are; without it that is raised.
+        settings: What files do not say, as of `torchbrdf.load`.
 
     Returns:
         A finished match a material; its `sentence` says how near it is.
@@ -80,7 +82,7 @@ def match(
     with nullcontext() if out is None else prepared(Path(out)) as folder:
         if folder is not None:
             read_entries(folder)  # a list that is none is said before the work
-        groups = _groups(source, bad)
+        groups = _groups(source, bad, settings)
         if not groups:  # all are bad, which is said
             return []
         fits = None if folder is None else folder / FITS
@@ -139,13 +141,15 @@ def entry(one: Finished, target: str) -> dict[str, Any]:
     }
 
 
-def _groups(source: Source | Sequence[Source], bad: list[TorchbrdfError] | None) -> list[Measured]:
+def _groups(
+    source: Source | Sequence[Source], bad: list[TorchbrdfError] | None, settings: Mapping[str, str] | None
+) -> list[Measured]:
     """What is given, files of one format as one group, so that their fits are made side by side."""
     several = list(source) if isinstance(source, Sequence) and not isinstance(source, str) else [source]
     found = [one for one in several if isinstance(one, Measured)]
     paths = [one for one in several if not isinstance(one, Measured)]
     wrong: list[DataError] = []
-    found += load_all(paths, bad=wrong) if paths else []
+    found += load_all(paths, bad=wrong, settings=settings) if paths else []
     if wrong and bad is None:
         raise wrong[0]
     if bad is not None:

@@ -207,7 +207,7 @@ def _entries(
                 taken.add(name)
                 # Views of their own, as each keeps all of its pairs.
                 known.check(name, one.batch())
-                match = Match(name, Judge(one, scenes), reach=measured_up_to(one.batch()))
+                match = Match(name, Judge(one, scenes), reach=measured_up_to(one.batch()).both)
             except TorchbrdfError as error:
                 _say(bad, error if str(error).startswith(name) else DataError(f"{name}: {error}"))
                 continue
