@@ -323,7 +323,8 @@ def test_a_study_takes_up_what_is_finished(study):
 def test_what_sees_pictures_stands_beside_what_does_not(tmp_path):
     """Rendered, combined and image-driven fits: their records, their rows in the report, and that they are kept."""
     names = ("cube_root", "compressed", "rendered_delta_e76", "compressed+rendered_delta_e76", "image_driven_delta_e76")
-    settings = SMALL | {"losses": ",".join(names[:2]), "rendered": "delta_e76", "combined": "compressed"}
+    settings = FEW_SETTINGS | {"lobes": "1", "losses": ",".join(names[:2]), "rendered": "delta_e76"}
+    settings |= {"combined": "compressed"}
     recipe = configure(RECIPES["image_vs_analytic"], settings | {"train_size": "16", "differences": "delta_e76"})
     page = run(recipe, tmp_path / "out").read_text()
     records = json.loads((tmp_path / "out" / "fits.json").read_text())

@@ -157,7 +157,7 @@ def _student(degrees: Tensor) -> Tensor:
         return z + first / degrees + second / degrees**2 + third / degrees**3
     from scipy.special import stdtrit  # late, as it takes longer to import than a small fit
 
-    return torch.as_tensor(stdtrit(degrees.numpy(), (1 + LEVEL) / 2))
+    return torch.as_tensor(stdtrit(degrees.numpy(), (1 + LEVEL) / 2), dtype=torch.float64, device="cpu")
 
 
 def _refits(

@@ -116,7 +116,10 @@ class BrdfFormat(ABC):
         for row, part, near, surface in self._looked_up(pairs, materials, 1 if interpolation == "nearest" else None):
             values[row, part] = torch.from_numpy(surface.at(near)).to(values)
         filled = [self._filled(pairs, row, material) for row, material in enumerate(materials)]
-        return Lookup(torch.where(pairs.above_horizon[..., None], values, 0), torch.tensor(filled, device=pairs.device))
+        return Lookup(
+            torch.where(pairs.above_horizon[..., None], values, 0),
+            torch.tensor(filled, dtype=torch.int64, device=pairs.device),
+        )
 
     def _looked_up(
         self, pairs: Pairs, materials: list[int], neighbours: int | None
