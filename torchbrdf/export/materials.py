@@ -61,7 +61,10 @@ def find_materials(
         check_settings([StandIn.format], settings)
     choice = dict(zip(CHOICES, (material, model, loss), strict=True))
     chosen = [record for record in records if all(want in (None, getattr(record, key)) for key, want in choice.items())]
-    found = [*_fits(chosen, bad), *(_tables(measured, material, bad, settings) if model is None and loss is None else ())]
+    found = [
+        *_fits(chosen, bad),
+        *(_tables(measured, material, bad, settings) if model is None and loss is None else ()),
+    ]
     if not found and not bad and (records or measured):
         raise _nothing(choice, records)
     return found
