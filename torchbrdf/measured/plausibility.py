@@ -88,7 +88,7 @@ class Plausibility:
             found.append(f"is not reciprocal: exchanged directions differ by {100 * self.reciprocity:.2g} %")
         if self.below_zero:
             found.append(
-                f"has a channel below 0 at {100 * self.below_zero:.2g} % of directions, down to {self.lowest:.2g} / sr"
+                f"has a channel below 0 at {100 * self.below_zero:.3g} % of directions, down to {self.lowest:.2g} / sr"
             )
         if self.reach < FAR_ENOUGH:
             reach = Reach(self.reach_light, self.reach_viewer).words("to")
