@@ -10,11 +10,12 @@ import torch
 from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, zemax
 
 from torchbrdf.cli import main
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import reach
-from torchbrdf.measured import check, describe, load
+from torchbrdf.measured import Measured, check, describe, load
 from torchbrdf.measured.bands import rgb_weights
+from torchbrdf.pairs import Pairs
 
 TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
 
@@ -159,6 +160,7 @@ def test_bad_astm_files_are_refused(kind, tmp_path):
         (cornell().replace("600 700", "600 500"), "# wls: expected 4 growing wavelengths"),
         (cornell().replace("600 700", "600"), "# wls: expected 4 growing wavelengths"),
         (fred().replace("angles=deg", "angles=gon"), "expected angles=deg or angles=rad"),
+        (fred() + "5 9\n", "expected rows of this light behind it, found none"),
         (fred() + "1 2 3 4\n", "expected two angles of a light, or a row of 3"),
         (columns().replace("phi", "chi"), "expected a column phi, or phi_i and phi_o"),
         (columns().replace("r,g,b", "x,y,z"), "expected r, g, b, or bands such as 465nm, or f"),
@@ -267,3 +269,9 @@ def test_what_was_measured_is_said_of_light_and_viewer(tmp_path):
     said = "with the light up to 60 degrees from the normal, the viewer up to 80; beyond, values are extrapolated"
     assert f"was measured only {said}" in check(measured)[0].warnings()
     assert reach(measured) == [f"measured {said}"]
+
+
+def test_values_that_are_no_tensor():
+    pairs = Pairs.from_half_diff(*torch.rand(3, 1, 4))
+    with pytest.raises(ShapeError, match="expected a tensor"):
+        Measured.from_samples(pairs, np.ones((1, 4, 3)))
