@@ -1,7 +1,10 @@
 """Formats that list directions and values: what they hold, what is mended, and what is refused."""
 
 import math
+import os
 import pickle
+import subprocess
+import sys
 import tarfile
 
 import numpy as np
@@ -275,3 +278,35 @@ def test_values_that_are_no_tensor():
     pairs = Pairs.from_half_diff(*torch.rand(3, 1, 4))
     with pytest.raises(ShapeError, match="expected a tensor"):
         Measured.from_samples(pairs, np.ones((1, 4, 3)))
+
+
+def test_reciprocity_is_that_of_the_samples(tmp_path, capsys):
+    text = astm().splitlines()
+    (tmp_path / "inner").mkdir()
+    assert main(["info", str(tmp_path)]) == 1
+    assert "found no file, and 1 folders" in capsys.readouterr().err
+    # Another value with the light at 60 degrees: exchanged directions are no longer alike.
+    rows = [line if not line.startswith("1.0471") else ",".join([*line.split(",")[:4], "1", "1", "1"]) for line in text]
+    own = written(tmp_path, "\n".join(rows))
+    assert main(["check", str(own)]) == 0
+    said = capsys.readouterr().out.splitlines()[1]
+    assert describe(own)["reciprocity error"].partition(" (")[0] in said and " 0.0 %" not in said
+
+
+@pytest.mark.parametrize(("value", "says"), [("1e30", "found 1e+30 and more"), ("nan", "found none")])
+def test_values_that_no_surface_has(value, says, tmp_path):
+    text = f"theta_i,theta_o,phi,f\n10,20,0,{value}\n10,40,0,{value}\n"
+    with pytest.raises(DataError, match=r"expected values up to 1e\+08 / sr") as caught:
+        opened(tmp_path, text)
+    assert says in str(caught.value)
+
+
+def test_a_reader_that_has_seen_enough(tmp_path):
+    path = written(tmp_path, astm())
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "torchbrdf", "info", path], stdout=writing, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writing)
+    assert done.returncode == 141 and b"pipe" not in done.stderr.lower()
