@@ -1,7 +1,10 @@
 """Formats that list directions and values: what they hold, what is mended, and what is refused."""
 
 import math
+import os
 import pickle
+import subprocess
+import sys
 import tarfile
 
 import numpy as np
@@ -10,11 +13,12 @@ import torch
 from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, zemax
 
 from torchbrdf.cli import main
-from torchbrdf.errors import DataError, UsageError
+from torchbrdf.errors import DataError, ShapeError, UsageError
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import reach
-from torchbrdf.measured import check, describe, load
+from torchbrdf.measured import Measured, check, describe, load
 from torchbrdf.measured.bands import rgb_weights
+from torchbrdf.pairs import Pairs
 
 TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
 
@@ -159,6 +163,7 @@ def test_bad_astm_files_are_refused(kind, tmp_path):
         (cornell().replace("600 700", "600 500"), "# wls: expected 4 growing wavelengths"),
         (cornell().replace("600 700", "600"), "# wls: expected 4 growing wavelengths"),
         (fred().replace("angles=deg", "angles=gon"), "expected angles=deg or angles=rad"),
+        (fred() + "5 9\n", "expected rows of this light behind it, found none"),
         (fred() + "1 2 3 4\n", "expected two angles of a light, or a row of 3"),
         (columns().replace("phi", "chi"), "expected a column phi, or phi_i and phi_o"),
         (columns().replace("r,g,b", "x,y,z"), "expected r, g, b, or bands such as 465nm, or f"),
@@ -267,3 +272,41 @@ def test_what_was_measured_is_said_of_light_and_viewer(tmp_path):
     said = "with the light up to 60 degrees from the normal, the viewer up to 80; beyond, values are extrapolated"
     assert f"was measured only {said}" in check(measured)[0].warnings()
     assert reach(measured) == [f"measured {said}"]
+
+
+def test_values_that_are_no_tensor():
+    pairs = Pairs.from_half_diff(*torch.rand(3, 1, 4))
+    with pytest.raises(ShapeError, match="expected a tensor"):
+        Measured.from_samples(pairs, np.ones((1, 4, 3)))
+
+
+def test_reciprocity_is_that_of_the_samples(tmp_path, capsys):
+    text = astm().splitlines()
+    (tmp_path / "inner").mkdir()
+    assert main(["info", str(tmp_path)]) == 1
+    assert "found no file, and 1 folders" in capsys.readouterr().err
+    # Another value with the light at 60 degrees: exchanged directions are no longer alike.
+    rows = [line if not line.startswith("1.0471") else ",".join([*line.split(",")[:4], "1", "1", "1"]) for line in text]
+    own = written(tmp_path, "\n".join(rows))
+    assert main(["check", str(own)]) == 0
+    said = capsys.readouterr().out.splitlines()[1]
+    assert describe(own)["reciprocity error"].partition(" (")[0] in said and " 0.0 %" not in said
+
+
+@pytest.mark.parametrize(("value", "says"), [("1e30", "found 1e+30 and more"), ("nan", "found none")])
+def test_values_that_no_surface_has(value, says, tmp_path):
+    text = f"theta_i,theta_o,phi,f\n10,20,0,{value}\n10,40,0,{value}\n"
+    with pytest.raises(DataError, match=r"expected values up to 1e\+08 / sr") as caught:
+        opened(tmp_path, text)
+    assert says in str(caught.value)
+
+
+def test_a_reader_that_has_seen_enough(tmp_path):
+    path = written(tmp_path, astm())
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "torchbrdf", "info", path], stdout=writing, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writing)
+    assert done.returncode == 141 and b"pipe" not in done.stderr.lower()

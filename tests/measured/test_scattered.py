@@ -114,7 +114,7 @@ def test_energy_of_what_continues_beyond_the_samples():
     (found,) = check(sampled(GLOSSY, goniometer()))
     (true,) = check(GLOSSY)
     assert found.largest_albedo[0] == pytest.approx(true.largest_albedo[0], rel=0.1)
-    assert found.reciprocity < 1e-6
+    assert found.reciprocity is None
 
 
 def test_readings_that_were_not_measured(caplog):

@@ -9,7 +9,7 @@ from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import DataError
 
 if TYPE_CHECKING:
-    from torchbrdf.measured import Plausibility
+    from torchbrdf.measured import Measured, Plausibility
 
 DESCRIPTION = """\
 Say whether BRDFs could be a surface's: how much of the light from each direction they reflect (a white furnace),
@@ -60,7 +60,7 @@ def command(options: Options) -> int:
         largest, angle = one.largest_albedo
         say(
             f"{label:{width}s}  {max(one.albedo[0]):11.3f}   {largest:.3f} at {angle:2.0f}  "
-            f"{100 * one.reciprocity:12.1f} %  {one.lowest:12.3g}"
+            f"{_reciprocity(material, one)}  {one.lowest:12.3g}"
         )
         for warning in one.warnings():
             say(f"{'':{width}s}  ! {warning}")
@@ -72,3 +72,11 @@ def command(options: Options) -> int:
         write_json(names[1], written)
         say(*names)
     return 0 if complete and found else 1
+
+
+def _reciprocity(material: "Measured", found: "Plausibility") -> str:
+    """How far exchanged directions are apart; of scattered samples as they were measured, or "-"."""
+    if found.reciprocity is not None:
+        return f"{100 * found.reciprocity:12.1f} %"
+    said = str(material.source.details(material.materials[0]).get("reciprocity error", "-"))
+    return f"{said.partition(' (')[0]:>14s}"

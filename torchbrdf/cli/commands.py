@@ -58,10 +58,15 @@ def perform(options: Options) -> int:
             without_empty_folders(),
             memory.limited(getattr(options, "memory", None)),
         ):
-            return int(options.command(options))
+            status = int(options.command(options))
+            sys.stdout.flush()
+            return status
     except UsageError as error:
         print(f"torchbrdf: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads has seen enough, as head has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+        return 128 + 13  # as of SIGPIPE, which Windows has not
     except (TorchbrdfError, OSError) as error:
         print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
         return 1

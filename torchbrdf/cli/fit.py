@@ -31,7 +31,7 @@ OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob
 OF_PICTURES = {RENDERED: OF_RENDERED, COMBINED: OF_RENDERED | {"size": 24}}
 
 DESCRIPTION = """\
-Fit a model to measured BRDFs: files (MERL .binary, RGL .bsdf, fits.json) or folders of them.
+Fit a model to measured BRDFs: files (MERL, RGL, ASTM E1392, Cornell, Zemax, FRED, BiRD, CSV, fits.json) or folders.
 
   torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/

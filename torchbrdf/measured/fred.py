@@ -41,6 +41,7 @@ class Fred(ListedFormat):
         scale = parse_rows(path, [said.get("scale", "1")], 1, at + 1).numbers.item()
         light: list[str] = []
         rows: list[str] = []
+        began = before = 0
         for number, line in enumerate(lines[at + 1 :], at + 2):
             words = line.split()
             if line and line[0] != "#":
@@ -49,11 +50,19 @@ class Fred(ListedFormat):
                         f"{path}: line {number}: expected two angles of a light, or a row of 3, found {shown(line)}"
                     )
                 if len(words) == 2:
-                    light = words
+                    _check_rows(path, began, count=len(rows) - before)
+                    light, began, before = words, number, len(rows)
                 else:
                     rows.append(" ".join([*light, *words]))
+        _check_rows(path, began, count=len(rows) - before)
         found = parse_rows(path, rows, 5, at + 2).numbers
         factor, unit = in_radians(path, found[:, [0, 2]], found[:, [1, 3]], _UNITS[said["angles"]])
         angles = found[:, :4] * factor + np.array([0, np.pi, 0, 0])
         facts = {"angles": f"{unit}; the mirror direction has the light's azimuth"}
         return Listed(angles, found[:, 4:] * scale, None, facts=facts)
+
+
+def _check_rows(path: Path, began: int, count: int) -> None:
+    """Refuse a light without rows, as a file that was cut has; `began` is its line, 0 before the first."""
+    if began and not count:
+        raise DataError(f"{path}: line {began}: expected rows of this light behind it, found none; is the file cut?")

@@ -97,6 +97,11 @@ class ListedFormat(BrdfFormat):
             values *= _factor(listed.quantity, wo[:, 2])[:, None]
             valid = (np.minimum(wi[:, 2], wo[:, 2]) > 0) & (np.abs(values) <= LARGEST_VALUE).all(1)
         if not valid.any():
+            above = np.minimum(wi[:, 2], wo[:, 2]) > 0
+            if above.any():
+                expected = f"expected values up to {LARGEST_VALUE:g} / sr, found"
+                finite = np.abs(values[above])[np.isfinite(values[above])]
+                raise DataError(f"{path}: {expected} {f'{finite.min():.3g} and more' if finite.size else 'none'}")
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         values[~valid] = 0

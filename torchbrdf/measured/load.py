@@ -284,8 +284,14 @@ def _folder(path: Path) -> list[Path]:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     known = [file for file in map(_file, inside) if format_of(file)]
     if not known:
-        raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {len(inside)} files, none of them one")
+        raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {_count(path, len(inside))}")
     return known
+
+
+def _count(folder: Path, files: int) -> str:
+    """What a folder without measured BRDFs holds."""
+    inner = 0 if files else sum(one.is_dir() for one in folder.iterdir())
+    return f"no file, and {inner} folders, which are not searched" if inner else f"{files} files, none of them one"
 
 
 def _known() -> str:

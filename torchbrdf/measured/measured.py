@@ -140,6 +140,8 @@ class Measured:
             >>> measured.weight[0, :, 0]
             tensor([1., 1.])
         """
+        if not isinstance(values, Tensor):
+            raise ShapeError(f"Measured: values: expected a tensor (M, N, 3), found {shown(values)}")
         return cls(Samples(pairs, values, weight, names), dtype=values.dtype, device=values.device)
 
     @property

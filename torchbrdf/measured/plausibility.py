@@ -37,7 +37,8 @@ class Plausibility:
         name: of the material.
         angles: of the light, degrees from the normal, A.
         albedo: directional-hemispherical reflectance at each, per channel, A x 3, without a unit.
-        reciprocity: root mean square of f(wi, wo) - f(wo, wi) over that of f, both times the cosines.
+        reciprocity: root mean square of f(wi, wo) - f(wo, wi) over that of f, both times the cosines; None of
+            scattered samples, between which values are reciprocal by how they are interpolated.
         lowest: the lowest value at random directions, 1/sr.
         below_zero: the share of random directions with a value below 0.
         invalid: the share of samples within 80 degrees that are not valid in the file; 0 of a model.
@@ -49,7 +50,7 @@ class Plausibility:
     name: str
     angles: list[float] = field(repr=False)
     albedo: list[list[float]] = field(repr=False)
-    reciprocity: float
+    reciprocity: float | None
     lowest: float
     below_zero: float
     invalid: float
@@ -84,11 +85,11 @@ class Plausibility:
         elif self.largest_albedo[0] > 1 + ENERGY_TOLERANCE:
             largest, angle = self.largest_albedo
             found.append(f"reflects {100 * largest:.3g} % of the light from {angle:g} degrees, near the horizon")
-        if self.reciprocity > RECIPROCITY_TOLERANCE:
+        if self.reciprocity is not None and self.reciprocity > RECIPROCITY_TOLERANCE:
             found.append(f"is not reciprocal: exchanged directions differ by {100 * self.reciprocity:.2g} %")
         if self.below_zero:
             found.append(
-                f"has a channel below 0 at {100 * self.below_zero:.2g} % of directions, down to {self.lowest:.2g} / sr"
+                f"has a channel below 0 at {100 * self.below_zero:.3g} % of directions, down to {self.lowest:.2g} / sr"
             )
         if self.reach < FAR_ENOUGH:
             reach = Reach(self.reach_light, self.reach_viewer).words("to")
@@ -169,7 +170,7 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
             name,
             list(ANGLES),
             albedo[m].tolist(),
-            apart[m].sqrt().item(),
+            None if isinstance(own, Measured) and own.is_scattered else apart[m].sqrt().item(),
             there[m].amin().item(),
             (there[m] < 0).any(-1).double().mean().item(),
             _invalid(own) if isinstance(own, Measured) else 0.0,
