@@ -41,6 +41,10 @@ def test_losses_and_lobes_pull_in_nothing_heavy() -> None:
     assert not extra & heavy
 
 
+def test_formats_pull_in_no_scipy() -> None:
+    assert "scipy" not in loaded("import torchbrdf.measured, torchbrdf.measured.load")
+
+
 def test_a_fit_and_a_picture_pull_in_nothing_that_they_do_not_need() -> None:
     fitted = (
         "import torch",

@@ -6,12 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchbrdf.progress import Progress, quiet
-
-if TYPE_CHECKING:
-    pass
 
 # Between two lines, and before the first: shorter work says nothing.
 SECONDS = 10.0

@@ -5,7 +5,7 @@ B_j(pair) (`Lobe.pair_factors`). The H_j follow from the term at as many probes,
 apart, so that lobes are evaluated as anywhere else, but at a few hundred pairs in the place of 900,000.
 """
 
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, TypeVar
@@ -113,13 +113,8 @@ class Probes:
     @classmethod
     def of(cls, kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
         """Choose them among the pairs of each group."""
-        some = candidates(groups, pairs.device)
-        wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
-        factors = factors_of(kind, wide).unflatten(1, some.shape).transpose(0, 1)
-        place = pivots(factors)
-        there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
-        first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
-        return cls(wide.select(samples=(first + place).flatten()), inverse_of(there))
+        own, there = chosen_probes([kind], pairs, groups)
+        return cls(own, inverse_of(there))
 
     def coefficients(self, responses: Tensor) -> Tensor:
         """The H_j of terms or their derivatives, from their values at the probes `(m, K, G J)`, `(m, K, G, J)`."""
@@ -147,14 +142,25 @@ def coefficients(basis: Basis, probes: Mapping[type[Lobe], Probes], values: Para
     return found
 
 
-def candidates(groups: Groups, device: torch.device) -> Tensor:
+def chosen_probes(kinds: Sequence[type[Lobe]], pairs: Pairs, groups: Groups) -> tuple[Pairs, Tensor]:
+    """Of each group the pairs that tell the factors of some kinds apart, `(1, G J)`, and these there, `(G, J, J)`."""
+    some = _candidates(groups, pairs.device)
+    wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
+    factors = torch.cat([factors_of(kind, wide) for kind in kinds]).unflatten(1, some.shape).transpose(0, 1)
+    place = _pivots(factors)
+    there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
+    first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
+    return wide.select(samples=(first + place).flatten()), there
+
+
+def _candidates(groups: Groups, device: torch.device) -> Tensor:
     """Some of the pairs of each group, evenly, `(G, C)`."""
     bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=device)
     place = torch.arange(_CANDIDATES, dtype=torch.int64, device=device)
     return groups.places(bounds[:-1, None] + place * (bounds.diff()[:, None] - 1) // (_CANDIDATES - 1))
 
 
-def pivots(factors: Tensor) -> Tensor:
+def _pivots(factors: Tensor) -> Tensor:
     """Of the candidates of each group as many as there are factors `(G, J, C)`, which tell these apart, `(G, J)`.
 
     As pivoted QR has it: the longest column, then the longest of what is left of the others, and so on.

@@ -21,12 +21,11 @@ from torchbrdf.fitting.layout import Layout
 from torchbrdf.fitting.pair_factors import (
     Groups,
     Probes,
-    candidates,
+    chosen_probes,
     factor_kinds,
     factors_of,
     groups_of,
     kept,
-    pivots,
     probes_of,
 )
 from torchbrdf.lobes import Lobe
@@ -174,7 +173,7 @@ def gather_statistics(
     pairs, materials = problem.pairs, len(problem.target)
     layout = kept(pairs, Layout, lambda: Layout(pairs, groups))
     factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
-    probes, at_probes = kept(pairs, (Probes, *kinds), lambda: _joint_probes(pairs, kinds, groups))
+    probes, at_probes = kept(pairs, (Probes, *kinds), lambda: chosen_probes(kinds, pairs, groups))
     sums = [_Sums(problem, loss, layout, factors) for loss in losses]
     for part in layout.parts(materials):
         sample = layout.sample[part]
@@ -190,17 +189,6 @@ def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -
     """The B_j of all kinds in blocks, `(B, J, size)`, 0 in what fills up; in single precision if pairs are."""
     found = torch.cat([factors_of(kind, pairs) for kind in kinds])
     return layout.spread(found) * layout.real[:, None]
-
-
-def _joint_probes(pairs: Pairs, kinds: Sequence[type[Lobe]], groups: Groups) -> tuple[Pairs, Tensor]:
-    """Pairs that tell all factors apart, and these there."""
-    some = candidates(groups, pairs.device)
-    wide = pairs.select(samples=some.flatten()).to(dtype=torch.float64)
-    factors = torch.cat([factors_of(kind, wide) for kind in kinds]).unflatten(1, some.shape).transpose(0, 1)
-    place = pivots(factors)
-    first = torch.arange(len(some), dtype=torch.int64, device=some.device)[:, None] * some.shape[1]
-    there = factors.gather(2, place[:, None].expand(-1, factors.shape[1], -1))
-    return wide.select(samples=(first + place).flatten()), there
 
 
 class _Sums:

@@ -6,18 +6,21 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from torchbrdf.errors import DataError
 from torchbrdf.kinds import FORMATS as _FORMATS
-from torchbrdf.measured.scattered import Angles, Near, Places, Surface
+from torchbrdf.measured.scattered import Angles, Near, Places, Surface, tree_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 Interpolation = Literal["linear", "nearest"]
 
@@ -174,7 +177,7 @@ class BrdfFormat(ABC):
         while len(self._ready) > _KEPT:
             self._ready.popitem(last=False)
 
-    def _turned(self, material: int) -> tuple[KDTree, np.ndarray]:
+    def _turned(self, material: int) -> "tuple[KDTree, np.ndarray]":
         """Where a material's samples above the horizon are, in degrees, and which of them are valid."""
         found: tuple[KDTree, np.ndarray] | None = self._ready.get(("turned", material))
         if found is None:
@@ -182,7 +185,7 @@ class BrdfFormat(ABC):
             above = self.pairs.above_horizon[row].cpu()
             samples = Angles.of(self.pairs.select(samples=above.nonzero()[:, 0]), row).turned()
             valid = self.read([material], slice(None))[1][0, :, 0].cpu()[above].numpy() > 0
-            found = KDTree(samples), valid
+            found = tree_of(samples), valid
             self._keep(("turned", material), found)
         return found
 
@@ -208,7 +211,7 @@ class BrdfFormat(ABC):
         for row, material in enumerate(materials):
             tree, valid = self._turned(material)
             if not valid.all():
-                tree = KDTree(tree.data[valid])
+                tree = tree_of(tree.data[valid])
             asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0).turned()
             found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
         return found
@@ -216,6 +219,23 @@ class BrdfFormat(ABC):
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
         return {}
+
+
+def padded_pairs(wi: list[Tensor], wo: list[Tensor]) -> Pairs:
+    """The pairs of M materials with different numbers of them, `(M, N)`, filled up with some below the horizon.
+
+    These count as nothing that was measured or is missing.
+
+    Args:
+        wi: Unit vectors to the light, `(n, 3)` of each material.
+        wo: Those to the viewer.
+    """
+    toward, seen = (pad_sequence(part, batch_first=True) for part in (wi, wo))
+    padding = toward.square().sum(-1) == 0
+    toward[..., 2] += padding
+    seen[..., 0] += 0.8 * padding
+    seen[..., 2] -= 0.6 * padding
+    return Pairs.from_directions(toward, seen)
 
 
 def reopened(source: BrdfFormat, settings: Mapping[str, str] | None = None) -> tuple[Any, ...]:

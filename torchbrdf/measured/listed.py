@@ -16,7 +16,7 @@ from torch.nn.utils.rnn import pad_sequence
 from torchbrdf.errors import DataError
 from torchbrdf.measured.angles import UNITS, direction
 from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, ILLUMINANTS, colors_label, rgb_weights
-from torchbrdf.measured.format import BrdfFormat, reopened
+from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
 from torchbrdf.measured.summary import summary
 from torchbrdf.pairs import Pairs
 
@@ -143,13 +143,7 @@ class ListedFormat(BrdfFormat):
         weight = pad_sequence([one.valid for one in self._read], batch_first=True)[..., None].double()
         if shared:
             return Pairs.from_directions(first.wi[None], first.wo[None]), values, weight
-        wi = pad_sequence([one.wi for one in self._read], batch_first=True)
-        wo = pad_sequence([one.wo for one in self._read], batch_first=True)
-        padding = wi.square().sum(-1) == 0
-        wi[..., 2] += padding  # seen from below the horizon, as nothing that counts as measured or as missing
-        wo[..., 0] += 0.8 * padding
-        wo[..., 2] -= 0.6 * padding
-        return Pairs.from_directions(wi, wo), values, weight
+        return padded_pairs([one.wi for one in self._read], [one.wo for one in self._read]), values, weight
 
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]

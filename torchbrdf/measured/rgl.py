@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
-from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
+from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, padded_pairs, reopened
 from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
 from torchbrdf.measured.warp import Warp
@@ -149,14 +149,9 @@ class Rgl(BrdfFormat):
     def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
         """Pairs `(M, N)`, values `(M, N, 3)` and weights `(M, N, 1)`."""
         files = [file.samples() for file in self._files]
-        wi, wo, values, valid = (
-            torch.nn.utils.rnn.pad_sequence(list(part), batch_first=True) for part in zip(*files, strict=True)
-        )
-        padding = wi.square().sum(-1) == 0
-        wi[..., 2] += padding  # seen from below the horizon, as nothing that counts as measured or as missing
-        wo[..., 0] += 0.8 * padding
-        wo[..., 2] -= 0.6 * padding
-        return Pairs.from_directions(wi, wo), values, valid[..., None].double()
+        wi, wo, *others = (list(part) for part in zip(*files, strict=True))
+        values, valid = (torch.nn.utils.rnn.pad_sequence(part, batch_first=True) for part in others)
+        return padded_pairs(wi, wo), values, valid[..., None].double()
 
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]

@@ -9,16 +9,17 @@ doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that a
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import nnls
-from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional
 
 from torchbrdf.pairs import Pairs
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 NEIGHBOURS = 12
 """Places that a value is made of."""
@@ -30,6 +31,13 @@ _WIDTHS, _LEAST, _FITTED = np.geomspace(0.02, 0.7, 9), 0.02, 20_000
 # Samples nearer than so much, in the coordinates, are repetitions, and their mean counts.
 _SAME = 1e-4
 _TINY = 1e-9
+
+
+def tree_of(points: np.ndarray) -> "KDTree":
+    """What finds the nearest of points `(N, d)`."""
+    from scipy.spatial import KDTree  # late, as it takes long to import, and tables have no need of it
+
+    return KDTree(points)
 
 
 class Angles(NamedTuple):
@@ -113,7 +121,7 @@ class Places:
         _, self.of_sample = np.unique(key, return_inverse=True)
         self.count = np.bincount(self.of_sample)
         self.angles = Angles(*(self.mean(one) for one in angles))
-        self._tree = KDTree(np.stack([self.mean(axis) for axis in found.T], -1))
+        self._tree = tree_of(np.stack([self.mean(axis) for axis in found.T], -1))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Of values `(N,)` of samples, those of places."""
@@ -186,6 +194,8 @@ def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
 def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.ndarray | None = None) -> np.ndarray:
     """Heights `(L,)` for values `(n,)`, a part of whole ones that errors are relative to."""
     weight = 1 / (np.maximum(values if whole is None else whole, 0) + 4 * scale)
+    from scipy.optimize import nnls  # late, as below
+
     found: np.ndarray = nnls(lobes * weight[:, None], values * weight)[0]
     return found
 

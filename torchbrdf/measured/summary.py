@@ -1,7 +1,8 @@
 """What scattered samples are like: angles covered, what is missing or below 0, noise and reciprocity."""
 
 import numpy as np
-from scipy.spatial import KDTree
+
+from torchbrdf.measured.scattered import tree_of
 
 # Degrees within which two samples are at the same directions, and angles of a light the same.
 _SAME, _STEP = 0.05, 0.1
@@ -51,7 +52,7 @@ def _spread(
     """How far values are from those of their partners, where there are some: a relative median."""
     if not which.any():
         return {}
-    distance, partner = KDTree(here).query(there[which], distance_upper_bound=_SAME)
+    distance, partner = tree_of(here).query(there[which], distance_upper_bound=_SAME)
     found = np.isfinite(distance)
     if not found.any():
         return {}

@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+AT_ONCE = 32
+"""Columns of a product at a time: a visit of an entry costs the same for one column and for these many."""
 # What is added to an int16 to make all of its values columns.
 _HALF_WAY = 2**15
 # Columns that matrix products work on at a time, or a multiple of them.

@@ -9,13 +9,11 @@ from torch import Tensor
 from torchbrdf.errors import DataError
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
-from torchbrdf.render.transport.blocks import Block, Entries
+from torchbrdf.render.transport.blocks import AT_ONCE, Block, Entries
 from torchbrdf.render.transport.quadrature import Compact, Quadrature
 
 # What is known of the pairs.
 KNOWN = ("cos_i", "cos_o", "cos_d", "cos_h", "tan2_h", "theta_h", "theta_d", "phi_d")
-# Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
-_AT_ONCE = 32
 # Groups of pixels that a thread takes at a time.
 _JOBS = 4
 
@@ -70,7 +68,7 @@ class CompactScene:
         self, part: Compact, items: Sequence[Tensor | Entries], values: Tensor, found: Tensor
     ) -> Iterator[Entries]:
         """Add what one quadrature makes of values `(M, n, 3)` to pixels `(3, P, M)`; its blocks."""
-        tables = [[some[..., channel].T.contiguous() for channel in range(3)] for some in values.split(_AT_ONCE)]
+        tables = [[some[..., channel].T.contiguous() for channel in range(3)] for some in values.split(AT_ONCE)]
         own = torch.empty_like(found)  # in the order of the groups, so that each has a place of its own
         starts = [0, *accumulate(map(len, part.groups))]
 
@@ -80,7 +78,7 @@ class CompactScene:
                 block = part.block(item).packed(len(part.pairs)) if isinstance(item, Tensor) else item
                 for at, some in enumerate(tables):
                     for channel, product in enumerate(block.products(some)):
-                        columns = slice(at * _AT_ONCE, at * _AT_ONCE + product.shape[1])
+                        columns = slice(at * AT_ONCE, at * AT_ONCE + product.shape[1])
                         own[channel, first : first + len(product), columns] = product
                 blocks.append(block)
             return blocks

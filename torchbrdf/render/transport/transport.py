@@ -7,13 +7,10 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.render.transport.blocks import Block
+from torchbrdf.render.transport.blocks import AT_ONCE, Block
 
 if TYPE_CHECKING:
     from scipy import sparse
-
-# Columns of a product at a time: a visit of an entry costs the same for one column and for these many.
-_AT_ONCE = 32
 
 
 class Transport:
@@ -71,8 +68,8 @@ class Transport:
             raise ShapeError(f"transport: expected functions (K, {self.count}), found {(*shapes.shape,)}")
         found = shapes.new_zeros(3, len(self.index), len(shapes))
         for block in self.blocks:
-            for first in range(0, len(shapes), _AT_ONCE):
-                some = slice(first, first + _AT_ONCE)
+            for first in range(0, len(shapes), AT_ONCE):
+                some = slice(first, first + AT_ONCE)
                 part = block.times(shapes[some].T.contiguous())
                 if len(block.rows) == len(self.index):  # blocks of all rows have them in order
                     found[..., some] += part
@@ -135,7 +132,7 @@ class _Product(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor, transport: Transport) -> Tensor:
         ctx.transport = transport
         found = values.new_zeros(3, len(transport.index), len(values))
-        groups = [slice(first, first + _AT_ONCE) for first in range(0, len(values), _AT_ONCE)]
+        groups = [slice(first, first + AT_ONCE) for first in range(0, len(values), AT_ONCE)]
         tables = [[values[some, :, channel].T.contiguous() for some in groups] for channel in range(3)]
         for block in transport.blocks:
             for channel in range(3):
