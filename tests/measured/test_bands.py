@@ -6,7 +6,8 @@ import pytest
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.measured.bands import color_matching, colors_label, rgb_weights
 
-colour = pytest.importorskip("colour")
+with np.printoptions():  # which it changes for the whole process
+    colour = pytest.importorskip("colour")
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "E"])

@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchbrdf import kinds
@@ -119,7 +120,9 @@ def numbers(value: Tensor) -> list[float]:
         >>> torch.tensor([0.3]).tolist(), numbers(torch.tensor([0.3]))
         ([0.30000001192092896], [0.3])
     """
-    return [float(str(np.float32(number))) for number in value.detach().flatten().tolist()]
+    # No str: libraries change how NumPy prints numbers, down to six digits.
+    single = value.detach().flatten().to(torch.float32).cpu().numpy()
+    return [float(np.format_float_scientific(number, unique=True)) for number in single]
 
 
 def needed(package: str, extra: str, purpose: str) -> ModuleType:
