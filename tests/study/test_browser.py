@@ -74,6 +74,8 @@ def test_a_screen_with_two_pixels_a_css_pixel(browser, link):
         for size in ({"width": 801, "height": 601}, {"width": 640, "height": 477}):
             page.set_viewport_size(size)
             page.wait_for_function("size => innerWidth === size.width && innerHeight === size.height", arg=size)
+            # The page is laid out anew in a frame after the window's size has changed.
+            page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
             boxes = [page.locator(f"#{name} img").bounding_box() for name in NAMES]
             assert all(page.locator(f"#{name} img").evaluate("it => it.naturalWidth") == 25 for name in NAMES)
             assert {(box["width"], box["height"]) for box in boxes} == {(12.5, 12.5)}

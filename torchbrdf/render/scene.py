@@ -82,7 +82,7 @@ class Scene:
         punctual_lights: Sequence[PunctualLight] = (),
         shadows: bool = False,
         backend: str = "software",
-        resolution: tuple[int, int, int] = (60, 45, 30),
+        resolution: tuple[int, int, int] = (90, 36, 27),
         cache: Path | str | None = None,
     ) -> None:
         if size < 1 or nodes < 8:
