@@ -10,6 +10,7 @@ from torchbrdf._lazy import exports
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from torchbrdf.export.convert import convert
     from torchbrdf.fitting import FitResult, fit
     from torchbrdf.lobes import FitRecord, Lobe, Sum, model_of, read_fits, write_fits
     from torchbrdf.losses import Loss, Problem
@@ -38,6 +39,7 @@ _HOME = {
     "Environment": "render",
     "Recipe": "recipe",
     "run": "recipe",
+    "convert": "export.convert",
     "match": "report.match",
 }
 __all__ = [
@@ -52,6 +54,7 @@ __all__ = [
     "Recipe",
     "Scene",
     "Sum",
+    "convert",
     "fit",
     "load",
     "load_all",

@@ -3,6 +3,7 @@
 import hashlib
 import re
 import unicodedata
+from collections.abc import Sequence
 
 from torchbrdf.errors import DataError, shown
 
@@ -79,6 +80,39 @@ def file_stem(name: str) -> str:
     digits = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
     # Short enough for a name, by which the stem of a stem is itself.
     return f"{clean_name(plain, LONGEST_NAME - 1 - len(digits))}-{digits}" if plain else f"_-{digits}"
+
+
+def distinct_stems(names: Sequence[str], reserved: Sequence[str] = ()) -> list[str]:
+    """Names of files in one folder, without suffix, no two the same, also where case does not count.
+
+    They are `file_stem`s; one that is taken gets a number behind, and none is hidden by a dot in front.
+
+    Args:
+        names: Of materials.
+        reserved: Stems that none may have.
+
+    Example:
+        >>> from torchbrdf.names import distinct_stems
+        >>> distinct_stems(["Nickel", "nickel"])
+        ['Nickel', 'nickel-2']
+    """
+    taken = {same_file(name) for name in reserved}
+    made = []
+    for name in names:
+        plain = file_stem(name).lstrip(".") or "_"
+        number, stem = 1, plain
+        while same_file(stem) in taken:
+            number += 1
+            end = f"-{number}"
+            stem = clean_name(plain, LONGEST_NAME - len(end)) + end
+        taken.add(same_file(stem))
+        made.append(stem)
+    return made
+
+
+def same_file(stem: str) -> str:
+    """What is the same for names that are one file on some system: those that differ in case, or in how accents are."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", stem).casefold())
 
 
 def is_one_line(text: str) -> bool:

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from torchbrdf.experiment.items import distinct_stems, list_items
+from torchbrdf.experiment.items import list_items
 from torchbrdf.experiment.labels import loss_label, model_label
 from torchbrdf.lobes import GGX, FitRecord, Lambert, Sum, Ward, parameters, write_fits
 from torchbrdf.measured import load_all
 from torchbrdf.measured.load import number_repeats
+from torchbrdf.names import distinct_stems
 
 DULL = parameters(Sum(Lambert(albedo=[0.3, 0.2, 0.1]), Ward(specular=0.1, roughness=0.4)))
 MADE_UP = [("global", {}), ("", {"source": "somebody's measurement"})]

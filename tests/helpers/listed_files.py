@@ -102,6 +102,52 @@ def fred(rows=None):
     return "\n".join(lines) + "\n"
 
 
+def ssdd(
+    system="half_difference",
+    color="rgb",
+    polar=tuple(range(0, 90, 10)),
+    azimuths=tuple(range(0, 181, 20)),
+    *,
+    binary=False,
+):
+    """An SSDD file, text or with binary values: a grid whose first axis runs fastest."""
+    fine = tuple(90 * (np.arange(13) / 12) ** 2)
+    axes = {
+        "half_difference": (fine, polar, tuple(range(0, 91, 15))),
+        "spherical": (polar, polar, azimuths),
+        "specular": (polar, fine, azimuths),
+    }[system]
+    last, third, first = (np.radians(one) for one in np.meshgrid(*axes[::-1], indexing="ij"))
+    level = _known_in(system, first, third, last).reshape(-1, 1)
+    channels = {"monochrome": [1], "rgb": COLOR, "spectrum": COLOR, "xyz": [0.95046, 1.0, 1.08906]}[color]
+    values = level * np.array(channels)
+    lines = ["VERSION 0.2", "SOFTWARE made-up", "", "# A comment", "DATA_TYPE brdf", f"COLOR_MODEL {color}"]
+    lines += ["WAVELENGTH_LIST " + " ".join(map(str, BANDS))] * (color == "spectrum")
+    lines += [f"PARAM_TYPE {system}_coordinate_system", "REDUCTION_TYPE bilateral_symmetry"]
+    lines += [
+        f"PARAM{k}_LIST {' '.join(f'{one:.9g}' for one in axis)}" for k, axis in zip((0, 2, 3), axes, strict=True)
+    ]
+    lines += ["NAME paint", f"DATA {'binary' if binary else 'ascii'}", ""]
+    head = "\n".join(lines)
+    if binary:
+        return head.encode() + values.astype("<f4").tobytes()
+    return head + "\n".join(" ".join(f"{one:.9g}" for one in row) for row in values) + "\n"
+
+
+def _known_in(system, first, third, last):
+    """The known BRDF by the angles of a system; 7 below the horizon, where nobody looks."""
+    if system == "spherical":
+        return known(first, third, last)
+    if system == "specular":
+        x, y, z = np.sin(third) * np.cos(last), np.sin(third) * np.sin(last), np.cos(third)
+        wo = np.stack([np.cos(first) * x - np.sin(first) * z, y, np.sin(first) * x + np.cos(first) * z], -1)
+        found = known(first, np.arccos(np.clip(wo[..., 2], -1, 1)), np.arctan2(wo[..., 1], wo[..., 0]))
+        return np.where(wo[..., 2] > 0, found, 7)
+    lobe = 0.1 + 2 * np.exp(-((first / 0.2) ** 2))
+    over = np.cos(first) * np.cos(third) - np.abs(np.sin(first) * np.sin(third) * np.cos(last)) > 0
+    return np.where(over, lobe, 7)
+
+
 def zemax(
     lights=(10, 40), azimuths=tuple(range(0, 181, 20)), radials=tuple(range(0, 91, 10)), *, symmetry="PlaneSymmetrical"
 ):

@@ -26,6 +26,8 @@ Write fits and measured BRDFs as materials of other programs.
   mtlx     MaterialX: an OpenPBR surface                    gltf     a .glb of the blob, or of any mesh
   blender  a script for the Principled BSDF                 brdf     GLSL of Disney's BRDF Explorer
   merl     a MERL table                                     rgl      a tensor file: Mitsuba 3, pbrt-v4
+  ssdd     a grid for BSDF Processor                        astm     ASTM E1392 text
+  csv      named columns
 
 Any BRDF goes to any of them. What a program has no model for is refitted to one that it has, or written as a table;
 each line says what is exact and what is not, and by how much the picture differs: the colour difference between the
@@ -91,7 +93,7 @@ def _left_out(error: "TorchbrdfError", name: str = "") -> None:
 
 def _with_stems(materials: Sequence["Material"]) -> list["Material"]:
     """The materials under names that are files of their own in one folder."""
-    from torchbrdf.experiment.items import distinct_stems
+    from torchbrdf.names import distinct_stems
 
     stems = distinct_stems([material.name for material in materials])
     return [replace(material, name=stem) for material, stem in zip(materials, stems, strict=True)]

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 
 from torchbrdf.errors import DataError, UsageError, shown
-from torchbrdf.experiment.items import same_file
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
 from torchbrdf.fitting.parameters import has_measurable_diffuse
 from torchbrdf.fitting.strategy import Strategy, strategy_name
@@ -15,7 +14,7 @@ from torchbrdf.lobes import FitRecord, make_model, read_fits, write_fits
 from torchbrdf.lobes.model import lobe_count
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured, contrast_gloss, distinctness_of_image
-from torchbrdf.names import file_stem
+from torchbrdf.names import file_stem, same_file
 from torchbrdf.progress import Progress, part_of
 from torchbrdf.recipe import RunFolder
 

@@ -1,6 +1,5 @@
 """What files hold to be looked at: materials and their fits, with labels, file names, and who is a fit of whom."""
 
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -9,7 +8,7 @@ from torchbrdf.experiment.labels import diffuse_label, loss_label, model_label
 from torchbrdf.lobes import FitRecord
 from torchbrdf.measured import Measured, StandIn
 from torchbrdf.measured.load import number_repeats
-from torchbrdf.names import LONGEST_NAME, clean_name, file_stem
+from torchbrdf.names import clean_name, distinct_stems
 
 Kind = Literal["measured", "stand-in", "model", "fit"]
 # What an item is compared with, if it is there: best a measurement.
@@ -69,30 +68,6 @@ def list_items(groups: Sequence[Measured], reserved: Sequence[str] = ()) -> list
         replace(item, label=label, stem=stem, reference=next((k for k in of if k is not None), None))
         for item, label, stem, of in zip(items, labels, stems, references, strict=True)
     ]
-
-
-def distinct_stems(names: Sequence[str], reserved: Sequence[str] = ()) -> list[str]:
-    """Names of files in one folder, without suffix, no two the same, also where case does not count.
-
-    They are `names.file_stem`s; one that is taken gets a number behind, and none is hidden by a dot in front.
-    """
-    taken = {same_file(name) for name in reserved}
-    made = []
-    for name in names:
-        plain = file_stem(name).lstrip(".") or "_"
-        number, stem = 1, plain
-        while same_file(stem) in taken:
-            number += 1
-            end = f"-{number}"
-            stem = clean_name(plain, LONGEST_NAME - len(end)) + end
-        taken.add(same_file(stem))
-        made.append(stem)
-    return made
-
-
-def same_file(stem: str) -> str:
-    """What is the same for names that are one file on some system: those that differ in case, or in how accents are."""
-    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", stem).casefold())
 
 
 def _models_of_standins(groups: Sequence[Measured]) -> Mapping[str, set[tuple[str, int]]]:

@@ -3,5 +3,15 @@
 from torchbrdf.export.api import export
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
 from torchbrdf.export.comparison import picture_differences
+from torchbrdf.export.convert import Converted, convert
 
-__all__ = ["EXPORTERS", "Exported", "Exporter", "Material", "export", "picture_differences"]
+__all__ = [
+    "EXPORTERS",
+    "Converted",
+    "Exported",
+    "Exporter",
+    "Material",
+    "convert",
+    "export",
+    "picture_differences",
+]

@@ -79,7 +79,7 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
     folder = writable(Path(out))
     for suffix in (exporter.suffix, *exporter.beside):
         path = material.path(folder, suffix)
-        for source in _sources(material):
+        for source in sources(material):
             if path.exists() and source.exists() and path.samefile(source):
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
@@ -154,7 +154,7 @@ def _of_file(path: str | os.PathLike[str], name: str | None) -> Material:
     raise UsageError(f"{path}: expected one material, found {found}; `torchbrdf export` takes them all")
 
 
-def _sources(material: Material) -> list[Path]:
+def sources(material: Material) -> list[Path]:
     """The file that a measured material is read from."""
     if not isinstance(material.brdf, Measured):
         return []

@@ -2,20 +2,20 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.export.tables import copied
+from torchbrdf.export.base import EXPORTERS, Exported, Material
+from torchbrdf.export.tables import TableExporter, copied
 from torchbrdf.measured import Measured, Merl, load, merl_values, write_merl
 
 
 @EXPORTERS.register("merl")
-class MerlTable(Exporter):
+class MerlTable(TableExporter):
     """A `.binary` of 90 x 90 x 180 bins; a measurement of MERL's as it is."""
 
     suffix = ".binary"
 
-    def write(self, material: Material, folder: Path) -> Exported:
+    def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
-        path, brdf = material.path(folder, self.suffix), material.brdf
+        brdf = material.brdf
         if isinstance(brdf, Measured) and isinstance(brdf.source, Merl):
             return copied(path, brdf)
         values = merl_values(brdf)

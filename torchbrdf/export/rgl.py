@@ -2,21 +2,21 @@
 
 from pathlib import Path
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
-from torchbrdf.export.tables import copied
+from torchbrdf.export.base import EXPORTERS, Exported, Material
+from torchbrdf.export.tables import TableExporter, copied
 from torchbrdf.measured import Measured, Rgl, load, write_rgl
 from torchbrdf.measured.rgl_table import ANGLES, SIZE
 
 
 @EXPORTERS.register("rgl")
-class RglTable(Exporter):
+class RglTable(TableExporter):
     """A `.bsdf` for Mitsuba's material `measured`; a measurement of RGL's as it is."""
 
     suffix = ".bsdf"
 
-    def write(self, material: Material, folder: Path) -> Exported:
+    def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
-        path, brdf = material.path(folder, self.suffix), material.brdf
+        brdf = material.brdf
         if isinstance(brdf, Measured) and isinstance(brdf.source, Rgl) and brdf.source.is_whole(brdf.materials[0]):
             return copied(path, brdf)
         write_rgl(path, brdf, description=material.name)

@@ -16,6 +16,7 @@ from torchbrdf.measured.merl_table import merl_values
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
+from torchbrdf.measured.ssdd import Ssdd
 from torchbrdf.measured.standin import StandIn, standins
 from torchbrdf.measured.zemax import Zemax
 
@@ -36,6 +37,7 @@ __all__ = [
     "Plausibility",
     "Rgl",
     "Samples",
+    "Ssdd",
     "StandIn",
     "Zemax",
     "check",

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.errors import DataError
-from torchbrdf.experiment.items import distinct_stems
 from torchbrdf.files import destination, locked, without_empty_folders, writable, write_json
+from torchbrdf.names import distinct_stems
 from torchbrdf.reading import read_json
 from torchbrdf.report.match_page import Block, write_match_page
 

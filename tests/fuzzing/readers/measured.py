@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from helpers.listed_files import angles, astm, bird, columns, cornell, fred, zemax
+from helpers.listed_files import angles, astm, bird, columns, cornell, fred, ssdd, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
@@ -44,6 +44,14 @@ def make_fred(folder: Path) -> None:
 
 def make_zemax(folder: Path) -> None:
     (folder / "fuzzed.bsdf").write_text(zemax())
+
+
+def make_ssdd(folder: Path) -> None:
+    (folder / "fuzzed.ssdd").write_text(ssdd("specular", polar=(0, 30, 60)))
+
+
+def make_ssdd_binary(folder: Path) -> None:
+    (folder / "fuzzed.ssdd").write_bytes(ssdd("spherical", polar=(0, 30, 60), binary=True))
 
 
 def make_columns(folder: Path) -> None:
@@ -150,6 +158,8 @@ READERS = (
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
+    Reader("ssdd", "fuzzed.ssdd", make_ssdd, use_listed, TEXT, renamed=True),
+    Reader("ssdd-binary", "fuzzed.ssdd", make_ssdd_binary, use_listed, TEXT, renamed=True),
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
