@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from torchbrdf.pairs import Pairs
     from torchbrdf.recipe import Recipe, run
     from torchbrdf.render import Environment, Scene
+    from torchbrdf.report.compare import compare
     from torchbrdf.report.match import match
 
 _HOME = {
@@ -40,6 +41,7 @@ _HOME = {
     "Recipe": "recipe",
     "run": "recipe",
     "convert": "export.convert",
+    "compare": "report.compare",
     "match": "report.match",
 }
 __all__ = [
@@ -54,6 +56,7 @@ __all__ = [
     "Recipe",
     "Scene",
     "Sum",
+    "compare",
     "convert",
     "fit",
     "load",

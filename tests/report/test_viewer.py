@@ -97,7 +97,7 @@ def test_the_page_asks_for_nothing(page):
 
 def test_names_are_harmless(page):
     text = page.read_text(encoding="utf-8")
-    assert WICKED not in text and text.count("</script>") == 2
+    assert WICKED not in text and text.count("</script>") == 4
     assert data_of(page)["items"][1]["material"] == WICKED
 
 

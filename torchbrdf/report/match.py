@@ -172,7 +172,7 @@ def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[T
         notes.append(f"Delta E of the fit itself: {chosen.means}")
     found, by_angle = parts(one.judge, shown), angles(one.judge, shown)
     files = [] if done is None else done.files
-    warnings = [f"the measurement {line}" for line in check(one.judge.measured)[0].warnings()]
+    warnings = [f"the measurement {line}" for line in check(_as_lobe(one.judge.measured))[0].warnings()]
     warnings += [f"the match {line}" for line in check(_as_lobe(shown))[0].warnings()]
     words = in_words(found, by_angle)
     return Finished(one, chosen, shown, figures, files, exact, notes, warnings, found, by_angle, words)

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchbrdf.experiment.extrapolation import MOST, NOTE, extrapolated_share, hatched
 from torchbrdf.experiment.labels import difference_label, loss_label
 from torchbrdf.experiment.matching import Figures, Match, Tried
 from torchbrdf.experiment.matching.candidates import so_many
@@ -16,7 +17,7 @@ from torchbrdf.experiment.matching.shortfall import Angles, Part
 from torchbrdf.experiment.pictures import BRIGHTEST, COLOR_MAP, color_difference
 from torchbrdf.files import write_text
 from torchbrdf.images import composite
-from torchbrdf.perception.discrimination.words import MEANING, scale
+from torchbrdf.perception.discrimination.words import BEYOND, MEANING, scale
 from torchbrdf.report.embed import embed_display, template
 
 # Fits of a material whose pictures are on the page, the match among them.
@@ -133,7 +134,8 @@ def write_match_page(path: Path, blocks: Sequence[Block], problems: Sequence[str
         data=[{"scenes": [vars(scene) for scene in block.pictures]} for block in blocks],
         problems=list(problems),
         top=f"{MAP_TOP:g}",
-        meaning=MEANING,
+        meaning=f"{MEANING} {BEYOND}",
+        extrapolated=NOTE,
         scale=scale("delta_e76", difference_label("delta_e76")),
     )
     write_text(path, page)
@@ -182,7 +184,7 @@ def _row(tried: Tried, chosen: bool, scenes: Sequence[str]) -> Row:
         mean=f"{means.mean:.2f}",
         seconds=f"{tried.record.seconds:.1f} s",
         chosen=chosen,
-        told=means.told.percent,
+        told=means.told.percent + ("" if means.told.asked else "*"),
     )
 
 
@@ -190,10 +192,11 @@ def _pictures(one: Finished, brdfs: Sequence[Brdf], scene: str) -> Pictures:
     judge, coverage = one.match.judge, one.match.judge.scenes[scene].coverage
     reference = judge.reference(scene)
     shown = [judge.picture(brdf, scene) for brdf in brdfs]
+    far = (extrapolated_share(judge.measured, judge.scenes[scene]) > MOST) & judge.scenes[scene].mask
     return Pictures(
-        reference=_webp(composite(reference, coverage)),
+        reference=_webp(hatched(composite(reference, coverage), far)),
         fits=[_webp(composite(picture, coverage)) for picture in shown],
-        maps=[_webp(composite(_map(picture, reference), coverage)) for picture in shown],
+        maps=[_webp(hatched(composite(_map(picture, reference), coverage), far)) for picture in shown],
     )
 
 

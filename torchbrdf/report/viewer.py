@@ -9,7 +9,9 @@ from typing import Any
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
+from torchbrdf.experiment.extrapolation import MOST, NOTE, extrapolated_share, hatched
 from torchbrdf.experiment.items import Item, list_items
+from torchbrdf.experiment.slices import slices_of
 from torchbrdf.files import destination, write_text
 from torchbrdf.images import DIFFERENCES, ToneMap, composite
 from torchbrdf.measured import Measured
@@ -18,6 +20,7 @@ from torchbrdf.progress import Progress, quiet
 from torchbrdf.render import Camera, Environment, Mesh, Scene, render
 from torchbrdf.report.embed import embed_display, template
 from torchbrdf.report.limits import check_pixels
+from torchbrdf.report.slices import slices_data
 
 # Of the JPEGs: at 88 and with full colour resolution a picture of 320 pixels takes 10 to 15 kB.
 QUALITY = 88
@@ -72,10 +75,23 @@ def write_viewer(
                 tones.append(ToneMap.from_images(pictures, scene.mask.expand(pictures.shape[:-1])))
             display = tones[-1](pictures)
             numbers[-1].append(_differences(items, display, scene.mask))
-            frames[-1].append([_jpeg(picture) for picture in composite(display, scene.coverage)])
+            shown = composite(display, scene.coverage)
+            frames[-1].append([_jpeg(hatched(*one)) for one in zip(shown, _extrapolated(groups, scene), strict=True)])
             progress(len(frames) * steps - steps + step + 1, len(lights) * steps)
-    write_text(path, _page(items, list(lights), tones, frames, numbers, size))
+    write_text(path, _page(items, list(lights), tones, frames, numbers, size, _slices(items, groups)))
     return path
+
+
+def _extrapolated(groups: Sequence[Measured], scene: Scene) -> list[Tensor]:
+    """Of each item, where its picture shows mostly what was never measured, `(size, size)`."""
+    each = (group.batch([row]) for group in groups for row in range(len(group)))
+    return [(extrapolated_share(one, scene) > MOST) & scene.mask for one in each]
+
+
+def _slices(items: Sequence[Item], groups: Sequence[Measured]) -> dict[str, Any]:
+    """What the page has of slices."""
+    own = [slices_of(group.batch([row])) for group in groups for row in range(len(group))]
+    return slices_data([item.label for item in items], own, [item.reference for item in items])
 
 
 def first_pair(items: Sequence[Item]) -> tuple[int, int]:
@@ -113,6 +129,7 @@ def _page(
     frames: list[list[list[str]]],
     numbers: list[list[list[list[str] | None]]],
     size: int,
+    slices: dict[str, Any],
 ) -> str:
     materials = list(dict.fromkeys(item.material for item in items))
     left, right = first_pair(items)
@@ -132,4 +149,6 @@ def _page(
         quality=QUALITY,
         meaning=[scale("delta_e76", "\u0394E"), MEANING],
         data=data,
+        slices=slices,
+        extrapolated=NOTE,
     )

@@ -59,7 +59,7 @@ class Judge:
     """Pictures of a material in some scenes, each under a tone map of its own.
 
     Args:
-        measured: One material.
+        measured: One material; or a fit or a lobe in its place.
         scenes: By name.
 
     Raises:
@@ -75,7 +75,7 @@ class Judge:
         [0.0, 0.0, 0.0]
     """
 
-    def __init__(self, measured: Measured, scenes: Mapping[str, Scene]) -> None:
+    def __init__(self, measured: Brdf, scenes: Mapping[str, Scene]) -> None:
         self.measured, self.scenes = measured, dict(scenes)
         self.linear = {name: self._draw(measured, name) for name in self.scenes}
         self.tones = {name: ToneMap.from_images(linear, self.scenes[name].mask) for name, linear in self.linear.items()}

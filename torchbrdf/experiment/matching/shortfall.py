@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.color import luminance
+from torchbrdf.experiment.extrapolation import is_extrapolated
 from torchbrdf.experiment.matching.judge import Brdf, Judge, values_of
 from torchbrdf.images.differences.delta_e76 import lab
 from torchbrdf.perception import uniform_pairs
@@ -100,8 +101,12 @@ def parts(judge: Judge, brdf: Brdf) -> list[Part]:
 
 
 def angles(judge: Judge, brdf: Brdf) -> list[Angles]:
-    """What a BRDF reflects of what the measurement does, by half angle and by how far from the normal that is."""
+    """What a BRDF reflects of what the measurement does, by half angle and by how far from the normal that is.
+
+    Extrapolated values of the measurement say nothing about the match.
+    """
     pairs = uniform_pairs(DIRECTIONS).unsqueeze().to(dtype=torch.float32)
+    pairs = pairs.select(samples=(~is_extrapolated(judge.measured, pairs)).nonzero()[:, 0])
     measured, fitted = values_of(judge.measured, pairs)[0], values_of(brdf, pairs)[0]
     cosine = (pairs.cos_i * pairs.cos_o)[0]
     low = (torch.minimum(pairs.cos_i, pairs.cos_o) < 0.5)[0]

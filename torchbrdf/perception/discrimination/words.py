@@ -12,6 +12,8 @@ MEANING = (
     "itself beside them; the others guess."
 )
 
+BEYOND = "A share with * is extrapolated: people were not asked about such small, or such large, differences."
+
 INTERVAL = "In brackets: 95 % interval for one fit."
 
 
