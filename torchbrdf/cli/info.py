@@ -11,10 +11,13 @@ from typing import Any
 from torchbrdf.cli.common import Commands, Options, add_reading, described, read_settings, say, short
 from torchbrdf.errors import DataError, UsageError
 
+# Of a picture made of characters, among facts.
+PLOT = "plot"
 DESCRIPTION = """\
 Say what measured BRDF files hold: format, size, invalid entries, whether a file is MERL's own, diffuse and gloss.
 
   torchbrdf info nickel.binary
+  torchbrdf info paint.astm --json
   torchbrdf info --zoo
   torchbrdf info zoo:nickel:gltf
   torchbrdf info --system
@@ -28,6 +31,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--zoo", action="store_true", help="list the models that come with torchbrdf, and how near they are"
     )
+    parser.add_argument("--json", action="store_true", help="print what files hold as JSON, by path")
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     add_reading(parser)
     parser.set_defaults(command=command)
@@ -35,35 +39,53 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf info`."""
+    from torchbrdf.files import json_text
     from torchbrdf.measured import describe
     from torchbrdf.measured.load import find_files
 
     if not (options.files or options.system or options.zoo):
         raise UsageError("info: expected files, --zoo or --system")
+    if options.json and (options.system or options.zoo or not options.files):
+        raise UsageError("info: --json: expected files, and neither --zoo nor --system")
     if options.system:
         _print_facts(_system_facts(), "")
     if options.zoo:
         say(*_zoo_lines())
     bad: list[DataError] = []
     files = find_files(options.files, bad) if options.files else []
+    found: dict[str, object] = {}
     for k, path in enumerate(files):
         try:
             facts = describe(path, read_settings(options))
         except DataError as error:
             bad.append(error)
             continue
+        if options.json:
+            found[str(path)] = _plain(facts)
+            continue
         if k or options.system or options.zoo:
             print()
         say(path)
         _print_facts(facts, "  ")
+    if options.json and (found or not bad):
+        print(json_text(found), end="")
     for one in bad:
         say(f"torchbrdf: {one}", to=sys.stderr)
     return 1 if bad else 0
 
 
+def _plain(facts: dict[str, Any]) -> dict[str, Any]:
+    """Facts as JSON has them: without pictures."""
+    return {key: _plain(value) if isinstance(value, dict) else value for key, value in facts.items() if key != PLOT}
+
+
 def _print_facts(facts: dict[str, object], indent: str) -> None:
+    from torchbrdf.measured.coverage import lines_of
+
     for key, value in facts.items():
-        if isinstance(value, dict):
+        if key == PLOT and isinstance(value, list):
+            say(*(f"{indent}{line}" for line in lines_of(value, sys.stdout.encoding)))
+        elif isinstance(value, dict):
             say(f"{indent}{key}")
             _print_facts(value, indent + "  ")
         else:

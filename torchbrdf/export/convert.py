@@ -13,13 +13,13 @@ from torch import Tensor
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.export.api import find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
+from torchbrdf.export.listing import values_in_bands
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.files import replacing, writable
 from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.measured import Measured, load
 from torchbrdf.measured.measured import FAR
-from torchbrdf.measured.tables import values_at
 from torchbrdf.names import distinct_stems
 from torchbrdf.pairs import Pairs
 from torchbrdf.progress import Progress, quiet
@@ -237,7 +237,7 @@ def _beyond(original: Brdf, back: Measured) -> tuple[int, int | None]:
 def _differences(original: Brdf, back: Measured) -> tuple[float, float]:
     """Median and 95th percentile of the relative difference from the original."""
     pairs = compared_pairs()
-    expected, found = values_at(original, pairs), values_at(back, pairs)
+    expected, found = values_in_bands(original, pairs), values_in_bands(back, pairs)
     least = max(_SMALL * expected.abs().mean().item(), 1e-30)
     off = ((found - expected).abs() / expected.abs().clamp_min(least)).flatten()
     return off.median().item(), off.quantile(0.95).item()

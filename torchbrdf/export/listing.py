@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.export.base import Brdf
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
+from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.tables import values_at
 from torchbrdf.pairs import Pairs
 
@@ -81,7 +83,19 @@ def listing(brdf: Brdf) -> Listing:
             angles[:, 1] = 0
         return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True)
     pairs = _around_mirrors(has_grain(brdf))
-    return Listing(_angles(pairs), values_at(brdf, pairs).numpy(), wavelengths, False)
+    return Listing(_angles(pairs), values_in_bands(brdf, pairs).numpy(), wavelengths, False)
+
+
+def values_in_bands(brdf: Brdf, pairs: Pairs) -> Tensor:
+    """Values of one material at pairs, in all its bands, `(N, C)`, float64; 0 below the horizon.
+
+    Args:
+        brdf: A lobe or a sum of lobes, not batched; or one measured material.
+        pairs: Where, `(1, N)`, in float64 on the CPU.
+    """
+    if not isinstance(brdf, Measured):
+        return values_at(brdf, pairs)
+    return torch.cat([brdf.at(chunk)[0].double() for _, chunk in chunks(pairs)]).nan_to_num(0, 0, 0)
 
 
 def wavelengths_of(brdf: Brdf) -> tuple[float, ...] | None:

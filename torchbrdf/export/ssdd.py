@@ -11,13 +11,12 @@ import torch
 
 from torchbrdf.errors import one_line
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Material
-from torchbrdf.export.listing import has_grain, wavelengths_of
+from torchbrdf.export.listing import has_grain, values_in_bands, wavelengths_of
 from torchbrdf.export.tables import TableExporter, copied
 from torchbrdf.files import write_text
 from torchbrdf.measured import Measured, Ssdd, load
 from torchbrdf.measured.grid import nearest_valid
 from torchbrdf.measured.ssdd import VERSION, half_directions
-from torchbrdf.measured.tables import values_at
 from torchbrdf.pairs import Pairs
 
 # Nodes along theta_h, denser towards 0 by the second power; degrees between those along theta_d and phi_d.
@@ -70,7 +69,7 @@ def grid_values(brdf: Brdf, axes: list[np.ndarray]) -> np.ndarray:
     above = np.minimum(wi[:, 2], wo[:, 2]) > LOWEST
     toward, seen = (torch.from_numpy(one[above][None]) for one in (wi, wo))
     ways = Pairs.from_directions(toward, seen), Pairs.from_directions(seen, toward)
-    mean = (values_at(brdf, ways[0]) + values_at(brdf, ways[1])).numpy() / 2
+    mean = (values_in_bands(brdf, ways[0]) + values_in_bands(brdf, ways[1])).numpy() / 2
     found = np.zeros((len(above), mean.shape[1]))
     found[above] = mean
     found = found[nearest_valid(above.reshape(places[0].shape))]

@@ -8,14 +8,14 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.lobes.zoo import is_zoo
+from torchbrdf.measured.coverage import coverage
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
-from torchbrdf.measured.listed import ListedFormat
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
-from torchbrdf.measured.plausibility import directional_albedo
+from torchbrdf.measured.plausibility import directional_albedo, nonreciprocity
 
 FURNACE = (0.0, 60.0)
-"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect, in any channel."""
+"""Angles of the light, in degrees, at which it is said how much of it is reflected, in any channel."""
 
 
 def describe(path: str | Path, settings: Mapping[str, str] | None = None) -> dict[str, object]:
@@ -55,13 +55,31 @@ def _material(measured: Measured) -> dict[str, object]:
         "distinctness of image, degrees": _finite(distinctness_of_image(measured)[0].item()),
         "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
-    facts |= measured.source.details(measured.materials[0])
-    if isinstance(measured.source, ListedFormat):
-        albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
-        facts |= {
-            f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)
-        }
-    return facts
+    own = measured.source.details(measured.materials[0])
+    above = measured.pairs.select([0]).above_horizon[0]
+    facts |= {"quantity": "BRDF, 1/sr", "bands": _bands(measured)}
+    facts |= {key: own.pop(key) for key in ("quantity",) if key in own}
+    if not measured.stand_in:  # which has values everywhere
+        facts["angles covered, degrees"] = coverage(measured)
+    facts |= own
+    if "invalid share" not in facts:
+        facts["invalid share"] = 1 - (valid & above).sum().item() / max(int(above.sum()), 1)
+    if "reciprocity error" not in facts and not measured.is_scattered:
+        stored = measured.source.is_reciprocal
+        error = f"{100 * nonreciprocity(measured)[0].item():.2g} % (root mean square)"
+        facts["reciprocity error"] = "none, by how values are stored" if stored else error
+    albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
+    return facts | {
+        f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)
+    }
+
+
+def _bands(measured: Measured) -> str:
+    """Of which bands values are."""
+    lengths = measured.wavelengths
+    if lengths is not None:
+        return f"{len(lengths)}, {lengths[0]:g} to {lengths[-1]:g} nm"
+    return "linear RGB" if measured.channels == 3 else f"{measured.channels}, of wavelengths that nobody says"
 
 
 def _finite(value: float) -> float | None:

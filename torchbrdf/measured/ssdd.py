@@ -164,8 +164,8 @@ class _Block:
             lines.append(line)
             kept += bool(line) and not line.startswith("#")
         if kept != count:
-            size = " x ".join(str(len(axis)) for axis in self.axes)
-            raise DataError(f"{self.path}: expected {count} rows of values ({size}), found {kept}")
+            sizes = " x ".join(str(len(axis)) for axis in self.axes)
+            raise DataError(f"{self.path}: expected {count} rows of values ({sizes}), found {kept}")
         return parse_rows(self.path, lines, channels, self.line)
 
     def angles(self, unit: str) -> tuple[np.ndarray, str]:
@@ -186,11 +186,11 @@ class _Block:
         if self.system == "half_difference":
             wi, wo = half_directions(first, turn, third, last)
             return np.concatenate([_angles_of(wi), _angles_of(wo)], -1), words
-        offset = np.zeros(len(self.axes[0]))
-        if self.words.get("PARAM4_LIST"):
-            offset = _numbers(self.words["PARAM4_LIST"])
-            if offset is None or len(offset) != len(self.axes[0]):
-                raise DataError(f"{self.path}: PARAM4_LIST: expected {len(self.axes[0])} angles, as PARAM0_LIST has")
+        count = len(self.axes[0])
+        offset = _numbers(self.words.get("PARAM4_LIST") or "0 " * count)
+        if offset is None or len(offset) != count:
+            found = shown(self.words["PARAM4_LIST"])
+            raise DataError(f"{self.path}: PARAM4_LIST: expected {count} angles, as PARAM0_LIST has, found {found}")
         tilt = first + np.tile(scale * offset, len(first) // len(offset))
         x, y, z = direction(third, last).T
         wo = np.stack([np.cos(tilt) * x - np.sin(tilt) * z, y, np.sin(tilt) * x + np.cos(tilt) * z], -1)

@@ -28,14 +28,13 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
         pairs: Where, `(1, N)`, in float64 on the CPU.
 
     Returns:
-        Values in 1/sr, `(N, C)`, float64; 0 below the horizon and where they are not finite.
+        Values in 1/sr, `(N, 3)`, float64; 0 below the horizon and where they are not finite.
 
     Raises:
         UsageError: It is neither, or several materials.
     """
     check_single(brdf)
-    channels = brdf.channels if isinstance(brdf, Measured) else 3
-    found = torch.empty(len(pairs), channels, dtype=torch.float64, device="cpu")
+    found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
     own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
     device = None if own is None else own.device
     for part, chunk in chunks(pairs.to(device)):

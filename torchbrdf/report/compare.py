@@ -106,7 +106,7 @@ def compare(
         >>> found.others[0].metrics["rms"] > 0, len(found.others[0].figures)
         (True, 2)
     """
-    folder = None if out is None else writable(out)
+    folder = None if out is None else writable(Path(out))
     problems: list[TorchbrdfError] = []
     subjects = find_subjects(sources, problems, settings)
     if problems and (bad is None or len(subjects) < 2):
