@@ -13,7 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.export.api import find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
-from torchbrdf.export.listing import values_in_bands
+from torchbrdf.export.listing import has_grain, values_in_bands
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.files import replacing, writable
@@ -212,6 +212,8 @@ def _written(material: Material, path: Path, to: str, exporter: TableExporter) -
         samples, extrapolated = _beyond(material.brdf, back)
         median, high = _differences(material.brdf, back)
     notes = [note.replace(str(part), str(path)) for note in exported.notes]
+    if has_grain(material.brdf) and not back.is_anisotropic:
+        notes.append("the grain is lost: what is read back does not depend on the azimuth of the light")
     return Converted(material.name, path, to, exported.exact, notes, samples, extrapolated, median, high)
 
 
