@@ -228,3 +228,35 @@ def test_it_runs_in_a_browser(page: Path, tmp_path: Path) -> None:
         assert said[0] == "45\u00b0" and said[2] == "85\u00b0" and said[1] != said[3]
         assert said[4] == 1  # of the measurement, all of which is extrapolated there
         assert said[5] == 4 and said[6] is True and WICKED in said[7]
+
+
+def test_matches_and_views_say_what_was_never_measured(folder: Path) -> None:
+    """Pictures of the measurement, and maps, are hatched; the fit's are not; and angles leave such directions out."""
+    from types import SimpleNamespace
+
+    from torchbrdf.experiment.matching.judge import Judge
+    from torchbrdf.experiment.matching.shortfall import angles as by_angle
+    from torchbrdf.report.match_page import _pictures
+    from torchbrdf.report.viewer import _extrapolated
+
+    few = load(folder / "few.csv")
+    scene = Scene(sphere(3), size=32, nodes=16, light_samples=64)
+    judge = Judge(few, {"ball": scene})
+    drawn = _pictures(SimpleNamespace(match=SimpleNamespace(judge=judge)), [PAINT], "ball")  # type: ignore[arg-type]
+    plain = _pictures(
+        SimpleNamespace(match=SimpleNamespace(judge=Judge(PAINT, {"ball": scene}))),  # type: ignore[arg-type]
+        [PAINT],
+        "ball",
+    )
+    far = _extrapolated([few], scene)[0]
+    assert 10 < far.sum() < scene.mask.sum()
+
+    def stripes(uri: str) -> float:
+        """How much neighbouring pixels differ where values are extrapolated."""
+        picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).convert("L")
+        inside = torch.from_numpy(np.asarray(picture).astype(float))
+        return float((inside.diff(dim=0)[:, 1:].abs() * far[1:, 1:]).sum() / far.sum())
+
+    assert stripes(drawn.reference) > 1.5 * stripes(plain.reference)
+    assert stripes(drawn.maps[0]) > 5 and stripes(drawn.fits[0]) < 1.5 * stripes(plain.fits[0])
+    assert 0 < len(by_angle(judge, PAINT)) < len(by_angle(Judge(PAINT, {"ball": scene}), PAINT))
