@@ -13,7 +13,7 @@ import torchbrdf
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.export import EXPORTERS, Material, convert, export
-from torchbrdf.export.convert import COMPARED, WITHIN, compared_pairs, table_names
+from torchbrdf.export.convert import COMPARED, WITHIN, _differences, _read_back, compared_pairs, table_names
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.lobes import GGX, FitRecord, Lambert, Sum, parameters, write_fits
 from torchbrdf.measured import Measured, describe, load
@@ -102,6 +102,8 @@ def test_bands_keep_their_wavelengths(bands: tuple[float, ...] | None, to: str, 
     measured = Measured.from_samples(pairs, values, names=["bands"], wavelengths=bands)
     path = EXPORTERS[to]().write_file(Material("bands", measured), tmp_path / "bands").files[0]
     text = path.read_text()
+    back = _read_back(path, measured)
+    assert _differences(measured, back)[0] < 0.05
     if bands:
         assert ("465 525 630 700" if to == "ssdd" else "465nm,525nm,630nm,700nm") in text
     else:

@@ -13,12 +13,13 @@ from torch import Tensor
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.export.api import find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
-from torchbrdf.export.listing import has_grain, values_in_bands
+from torchbrdf.export.listing import has_grain, values_in_bands, wavelengths_of
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.files import replacing, writable
 from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.measured import Measured, load
+from torchbrdf.measured.bands import rgb_weights
 from torchbrdf.measured.measured import FAR
 from torchbrdf.names import distinct_stems
 from torchbrdf.pairs import Pairs
@@ -208,7 +209,7 @@ def _written(material: Material, path: Path, to: str, exporter: TableExporter) -
     writable(path.parent)
     with torch.no_grad(), replacing(path) as part, _named(part, path):
         exported = exporter.write_file(material, part)
-        back = load(part, dtype=torch.float64)
+        back = _read_back(part, material.brdf)
         samples, extrapolated = _beyond(material.brdf, back)
         median, high = _differences(material.brdf, back)
     notes = [note.replace(str(part), str(path)) for note in exported.notes]
@@ -226,6 +227,14 @@ def _named(part: Path, path: Path) -> Iterator[None]:
         raise type(error)(str(error).replace(str(part), str(path)).replace(part.name, path.name)) from error
 
 
+def _read_back(path: Path, original: Brdf) -> Measured:
+    """What was written, in its bands where the reader keeps them and the original has some."""
+    back = load(path, dtype=torch.float64)
+    if wavelengths_of(original) is None or "bands" not in back.source.settings:
+        return back
+    return load(path, dtype=torch.float64, settings={"bands": "keep"})
+
+
 def _beyond(original: Brdf, back: Measured) -> tuple[int, int | None]:
     """How many samples were written, and how many of them are far from all of the original's."""
     valid = ((back.weight[0, :, 0] > 0) & back.pairs.above_horizon[0]).nonzero()[:, 0]
@@ -240,6 +249,11 @@ def _differences(original: Brdf, back: Measured) -> tuple[float, float]:
     """Median and 95th percentile of the relative difference from the original."""
     pairs = compared_pairs()
     expected, found = values_in_bands(original, pairs), values_in_bands(back, pairs)
+    lengths = wavelengths_of(original)
+    if lengths is not None and back.wavelengths is None:
+        expected = expected @ torch.from_numpy(rgb_weights(lengths))
+    elif expected.shape[1] == 1:  # grey is read as three equal channels
+        expected = expected.expand_as(found)
     least = max(_SMALL * expected.abs().mean().item(), 1e-30)
     off = ((found - expected).abs() / expected.abs().clamp_min(least)).flatten()
     return off.median().item(), off.quantile(0.95).item()
