@@ -173,7 +173,7 @@ def test_json_and_bad_files(folder: Path, capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["few.csv"], 2, "expected 2 to 50 materials or fits, found 1"),
+        (["few.csv"], 2, "expected 2 to 128 materials or fits, found 1"),
         (["few.csv", "few.csv", "--out", "few.csv"], 1, "expected a folder or a new name, found a file"),
         (["few.csv", "few.csv", "--read", "angles=grad"], 2, "unknown angles 'grad'"),
         ([""], 1, "found an empty one"),

@@ -25,7 +25,7 @@ from torchbrdf.render import Scene, blob, unseen_scenes
 HIGHLIGHT, GRAZING = 10.0, 65.0
 # Pairs of directions that metrics need at least.
 LEAST = 100
-MOST = 50
+MOST = 128
 """Materials on a page."""
 
 Source = Brdf | str | os.PathLike[str]

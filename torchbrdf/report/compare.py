@@ -96,7 +96,7 @@ def compare(
         The comparison: `lines()`, `to_dict()`, and `write(path)` for the page.
 
     Raises:
-        UsageError: There are fewer than two materials, or more than 50.
+        UsageError: There are fewer than two materials, or more than 128.
         DataError: A file, or the folder, cannot be used; or, without `bad`, a material cannot be compared.
 
     Example:

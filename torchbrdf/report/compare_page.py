@@ -53,7 +53,9 @@ def write_compare_page(
         extrapolated=NOTE,
         slices=slices_data(labels, own, [None, *[0] * len(others)]),
         data={
-            "reference": [_shown(reference, subject.brdf, scene) for scene in reference.scenes],
+            "reference": [
+                _shown(reference, subject.brdf, scene, reference.reference(scene)) for scene in reference.scenes
+            ],
             "others": [[_pictures(reference, one.subject.brdf, scene) for scene in reference.scenes] for one in others],
         },
     )
@@ -89,22 +91,19 @@ def _notes(others: Sequence[Compared]) -> list[str]:
     return [where, BEYOND]
 
 
-def _shown(judge: Judge, brdf: Brdf, scene: str) -> str:
-    coverage = judge.scenes[scene].coverage
-    return _webp(_hatched(judge, brdf, scene, composite(judge.picture(brdf, scene), coverage)))
+def _shown(judge: Judge, brdf: Brdf, scene: str, picture: Tensor) -> str:
+    """A picture as a data URI, hatched where most of a pixel's light was never measured."""
+    own = judge.scenes[scene]
+    far = (extrapolated_share(brdf, own) > MOST) & own.mask
+    return _webp(hatched(composite(picture, own.coverage), far))
 
 
 def _pictures(judge: Judge, brdf: Brdf, scene: str) -> dict[str, str]:
     """A picture and where it differs from the reference's, as data URIs."""
-    coverage = judge.scenes[scene].coverage
-    off = (color_difference(judge.picture(brdf, scene), judge.reference(scene)) / MAP_TOP).clamp(0, 1)
+    picture, coverage = judge.picture(brdf, scene), judge.scenes[scene].coverage
+    off = (color_difference(picture, judge.reference(scene)) / MAP_TOP).clamp(0, 1)
     colors = torch.from_numpy(COLOR_MAP(off.numpy())[..., :3]).to(coverage)
-    return {"picture": _shown(judge, brdf, scene), "map": _webp(composite(colors, coverage))}
-
-
-def _hatched(judge: Judge, brdf: Brdf, scene: str, picture: Tensor) -> Tensor:
-    own = judge.scenes[scene]
-    return hatched(picture, (extrapolated_share(brdf, own) > MOST) & own.mask)
+    return {"picture": _shown(judge, brdf, scene, picture), "map": _webp(composite(colors, coverage))}
 
 
 def _webp(display: Tensor) -> str:
