@@ -15,7 +15,13 @@ def template(name: str) -> Template:
     """The Jinja template of a page, from this folder."""
     loader = PackageLoader("torchbrdf.report", ".")
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    pages.filters["counted"] = counted
     return pages.get_template(name)
+
+
+def counted(count: int, thing: str) -> str:
+    """How many there are of a thing: "1 lobe", "2 lobes"."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
 def embed_png(path: Path) -> str:

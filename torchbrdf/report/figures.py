@@ -147,6 +147,7 @@ def strategies_figure(path: Path, grid: FitGrid, ratio: np.ndarray, gain: np.nda
         left.set_yticks(range(len(grid.models)), [model_label(model) for model in grid.models])
         left.invert_yaxis()
         left.margins(x=0.12)
+        left.xaxis.get_major_locator().set_params(integer=True)
         left.set_xlabel(f"fits stuck in a local minimum, of {len(ours) // len(grid.models)} a model")
         left.legend(frameon=False)
         for loss in grid.losses:
