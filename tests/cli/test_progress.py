@@ -36,7 +36,7 @@ def test_a_line_has_stage_share_and_time_left(stages: Stages, now: list[float]) 
     now[0] = 40.0  # nothing was told since
     assert stages.line() == "fits: 10 % done, 1 min left"
     now[0] = 400.0
-    assert stages.line() == "fits: 10 % done, 0 s left"
+    assert stages.line() == "fits: 10 % done, slower now, 6 min 30 s since the last"
 
 
 def test_what_an_earlier_run_has_done_took_no_time(stages: Stages, now: list[float]) -> None:

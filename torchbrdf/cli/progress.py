@@ -54,7 +54,10 @@ class Stages:
         if self._done == self._first:
             return f"{share}, {duration(now - self._began)} so far"
         each = (self._told - self._began) / (self._done - self._first)
-        return f"{share}, {duration(max(each * (self._total - self._done) - (now - self._told), 0))} left"
+        left = each * (self._total - self._done) - (now - self._told)
+        if left <= 0:  # what is left takes longer than what is done did, nobody knows how long
+            return f"{share}, slower now, {duration(now - self._told)} since the last"
+        return f"{share}, {duration(left)} left"
 
 
 def duration(seconds: float) -> str:
