@@ -85,7 +85,7 @@ class ImageVsAnalytic(FitGridRecipe):
             own = type(self)  # what somebody asked for is not left out
             models = models[:1] if models == own.models else models
             rendered = rendered[-1:] if rendered == own.rendered else rendered
-            chooser = ImageDriven(metrics=("cube_root", "compressed"))
+            chooser = ImageDriven(metrics=("compressed", "learned"))
         groups, bad = load_materials(self.materials, folder, self.quick)
         light, mesh = Environment.find(self.environment), find_mesh(self.shape)
         turned = Camera(self.unseen_turn, elevation=self.unseen_elevation)
