@@ -1,9 +1,11 @@
 """`torchbrdf check`."""
 
 import json
+import struct
 
 from torchbrdf.cli import main
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, write_fits
+from torchbrdf.report.style import DPI
 
 
 def test_it_says_what_is_odd_and_draws_it(paint, tmp_path, capsys):
@@ -31,6 +33,15 @@ def test_it_says_which_of_several_models_of_a_material(tmp_path, capsys):
     labels = ["nickel: GGX, 2 lobes (model)", "nickel: glTF (model)"]
     assert [one for one in labels if any(line.startswith(one) for line in lines)] == labels
     assert [one["label"] for one in json.loads((tmp_path / "check.json").read_text())] == labels
+
+
+def test_many_materials_leave_the_figure_room(tmp_path):
+    model = parameters(Sum(Lambert(albedo=0.5), Ward(specular=0.1, roughness=0.1)))
+    names = [f"a material with a rather long name, number {k}" for k in range(20)]
+    write_fits(tmp_path / "fits.json", [FitRecord(name, "ward", 1, model) for name in names])
+    assert main(["check", str(tmp_path / "fits.json"), "--out", str(tmp_path)]) == 0  # no warning of matplotlib's
+    (width,) = struct.unpack(">I", (tmp_path / "albedo.png").read_bytes()[16:20])
+    assert width > 2 * 7 * DPI
 
 
 def test_bad_files_do_not_spoil_the_others(paint, tmp_path, capsys):

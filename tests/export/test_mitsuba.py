@@ -1,5 +1,6 @@
 """Materials for Mitsuba: the same function where they are exact, and the same picture."""
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.measured_files import BINS, merl_centres
+from helpers.measured_files import BINS, merl_centres, synthetic_bsdf, tensor_file
 from helpers.mitsuba_pictures import Studio, likeness, mitsuba, obstacle
 
 from torchbrdf.errors import DataError
@@ -193,6 +194,16 @@ def test_a_file_of_rgl_is_copied(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"mine.bsdf: expected another folder or name, found the file that is exported"):
         export(own, "mitsuba", own.parent)
     assert not (own.parent / "mine.xml").exists()
+
+
+def test_a_measurement_that_mitsuba_shows_the_other_way_round_is_not_exact(tmp_path: Path) -> None:
+    path = tmp_path / "noisy.bsdf"
+    path.write_bytes(tensor_file(synthetic_bsdf()))
+    done = export(path, "mitsuba", tmp_path / "out")
+    assert done.files[1].read_bytes() == path.read_bytes() and not done.exact
+    assert any(
+        re.match(r"Mitsuba exchanges light and viewer: values there differ by \d+ %", note) for note in done.notes
+    )
 
 
 def test_a_dict_has_the_path_of_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

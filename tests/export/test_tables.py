@@ -12,7 +12,7 @@ from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, w
 from torchbrdf.errors import DataError
 from torchbrdf.export import export, picture_differences
 from torchbrdf.lobes import GGX, Lambert, Lobe, Sum
-from torchbrdf.measured import merl_values
+from torchbrdf.measured import load, merl_values
 from torchbrdf.measured.tables import measured_up_to
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Scene, blob
@@ -108,3 +108,9 @@ def test_there_and_back(tmp_path: Path) -> None:
     expected, found = PAINT(pairs)[0].detach(), back.at(pairs)[0]
     off = ((found - expected).abs() / expected).amax(-1)
     assert off.median() < 0.005 and off.quantile(0.95) < 0.05
+
+
+def test_holes_at_all_angles_do_not_say_how_far_a_table_reaches(tmp_path: Path) -> None:
+    raw = synthetic_raw()
+    raw[:, :60] = -1.0  # no highlight: in every ring of angles most is missing
+    assert measured_up_to(load(write_raw_merl(tmp_path / "dull.binary", raw))).both > 85

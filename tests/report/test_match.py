@@ -13,6 +13,7 @@ import torchbrdf
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.matching import BUDGETS, Budget, Candidate, candidates
+from torchbrdf.export import export
 from torchbrdf.measured import load, standins
 from torchbrdf.render import Scene, sphere
 from torchbrdf.report import match as module
@@ -54,6 +55,16 @@ def test_it_writes_a_material_a_page_and_a_list(written):
         assert [tried["model"] for tried in entry["candidates"]] == ["ggx", "ward"]
         assert [tried["chosen"] for tried in entry["candidates"]].count(True) == 1
         assert entry["files"][0] == f"{entry['material']}.xml" and entry["where"]
+
+
+def test_nothing_is_exported_over_its_files(written):
+    out, found = written
+    before = (out / "nickel.xml").read_bytes()
+    with pytest.raises(DataError, match=r"nickel.xml: expected another folder, found a match's file, which match.json"):
+        export(found[0].chosen.record, "mitsuba", out, name="nickel")
+    assert (out / "nickel.xml").read_bytes() == before
+    assert main(["export", str(out / "match.json"), "--to", "mitsuba", "--out", str(out)]) == 1
+    assert (out / "nickel.xml").read_bytes() == before
 
 
 def test_its_list_is_a_list_of_fits(written):
@@ -102,7 +113,7 @@ def test_a_folder_keeps_what_other_matches_left(written, scenes):
     [
         (["nowhere.binary"], "nowhere.binary"),
         (["bad.bsdf"], "bad.bsdf"),
-        (["--for", "unreal"], "unknown target 'unreal'"),
+        (["--for", "unreal"], "unknown exporter 'unreal'"),
         (["--budget", "much"], "budget"),
     ],
 )
@@ -151,7 +162,7 @@ def test_scenes_of_ones_own(scenes, count, said):
 
 
 def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, monkeypatch):
-    real = module.export
+    real = module.material_of
 
     def picky(record, *rest, **options):
         if record is refused[0]:
@@ -161,7 +172,7 @@ def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, mon
     refused = [None]
     one = load(standins()).batch([6])
     (before,) = torchbrdf.match(one, budget=TINY, scenes=scenes)
-    monkeypatch.setattr(module, "export", picky)
+    monkeypatch.setattr(module, "material_of", picky)
     monkeypatch.setattr(module, "find_matches", lambda *_args, **_options: [before.match])
     refused[0] = before.chosen.record
     (found,) = torchbrdf.match(one, "mitsuba", tmp_path, budget=TINY, scenes=scenes)
@@ -170,7 +181,7 @@ def test_what_the_target_cannot_show_gives_way_to_the_next(scenes, tmp_path, mon
 
 def test_unknown_words(tmp_path):
     for options, said in (
-        ({"target": "povray"}, "unknown target 'povray'"),
+        ({"target": "povray"}, "unknown exporter 'povray'"),
         ({"budget": "much"}, "budget: expected quick, default, thorough or a number of seconds, found 'much'"),
     ):
         with pytest.raises(UsageError, match=re.escape(said)):

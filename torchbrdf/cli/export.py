@@ -57,7 +57,7 @@ def command(options: Options) -> int:
         check_model(options.model)
 
     from torchbrdf.errors import TorchbrdfError
-    from torchbrdf.export.api import find_exporter, write
+    from torchbrdf.export.api import find_exporter, refuse_matches, write
     from torchbrdf.export.materials import find_materials
     from torchbrdf.files import writable
     from torchbrdf.render import Scene, blob, find_mesh
@@ -77,6 +77,7 @@ def command(options: Options) -> int:
     for k, material in enumerate(_with_stems(materials)):
         progress(k, len(materials))
         try:
+            refuse_matches(exporter, material, out)
             done = write(exporter, material, out)
             say(*_lines(material, done, scene))
         except TorchbrdfError as error:
@@ -115,7 +116,7 @@ def _difference(material: "Material", done: "Exported", scene: "Scene") -> str:
     from torchbrdf.perception.discrimination.words import said
 
     if done.shown is material.brdf:
-        return "the same picture"
+        return "the same picture" if done.exact else "the same picture but for that"
     found = picture_differences(material.brdf, done.shown, scene)
     parts = [f"{difference_label(name)} {value:.2f}" for name, value in found.items()]
     words = next((text for name, value in found.items() if (text := said(name, value))), "")

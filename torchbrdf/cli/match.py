@@ -5,7 +5,6 @@ import sys
 from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS
-from torchbrdf.registry import unknown
 
 DESCRIPTION = """\
 Find for measured BRDFs the simplest model that a renderer has and whose pictures cannot be told from the measurement's,
@@ -49,8 +48,7 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf match`."""
-    if options.target not in EXPORTERS:
-        raise unknown("target", options.target, EXPORTERS.names())
+    EXPORTERS.check(options.target)
     from torchbrdf.experiment.matching.candidates import find_budget
 
     find_budget(options.budget)

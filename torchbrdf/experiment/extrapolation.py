@@ -9,6 +9,7 @@ from torchbrdf.color import luminance
 from torchbrdf.experiment.matching.judge import Brdf, values_of
 from torchbrdf.measured import Measured
 from torchbrdf.measured.measured import FAR
+from torchbrdf.measured.plausibility import invalid_share
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Scene
 
@@ -16,12 +17,14 @@ from torchbrdf.render import Scene
 MOST = 0.5
 # Pixels from a stripe to the next, along a row, and the width of one, of pictures of 128; and how much of it is left.
 STRIPES, WIDTH, LEFT = 8, 2, 0.45
+# Of the samples of a grid, from which on it has holes and not a few bad values.
+HOLES = 0.01
 
 NOTE = f"Hatched, or dashed: extrapolated, more than {FAR:g}\u00b0 from the nearest sample that was measured."
 
 
 def is_extrapolated(brdf: Brdf, pairs: Pairs) -> Tensor:
-    """Where values of one material are extrapolated, `(N,)`: far from every sample of a measurement without a grid.
+    """Where values of one material are extrapolated, `(N,)`: far from every valid sample of a measurement.
 
     Args:
         brdf: One material, or a model, which has values everywhere.
@@ -33,8 +36,8 @@ def is_extrapolated(brdf: Brdf, pairs: Pairs) -> Tensor:
 
 
 def has_gaps(brdf: Brdf) -> TypeGuard[Measured]:
-    """Whether it is a measurement without a grid, which was not measured everywhere."""
-    return isinstance(brdf, Measured) and brdf.is_scattered and not brdf.stand_in
+    """Whether it is a measurement that was not made everywhere: one without a grid, or with holes in it."""
+    return isinstance(brdf, Measured) and not brdf.stand_in and (brdf.is_scattered or invalid_share(brdf) > HOLES)
 
 
 @torch.no_grad()

@@ -20,6 +20,8 @@ from torchbrdf.render import Mesh, find_mesh
 
 # Of what is given without one.
 NAMELESS = "material"
+# The list of `match`, whose page and numbers are of the files that it wrote itself.
+MATCHES = "match.json"
 
 
 def export(
@@ -59,7 +61,9 @@ def export(
         (['chalk.xml'], True)
     """
     exporter = find_exporter(to, find_mesh(os.fspath(mesh)) if isinstance(mesh, str | os.PathLike) else mesh)
-    return write(exporter, material_of(brdf, name), out)
+    material = material_of(brdf, name)
+    refuse_matches(exporter, material, out)
+    return write(exporter, material, out)
 
 
 def find_exporter(name: str, mesh: Mesh | None = None) -> Exporter:
@@ -72,6 +76,25 @@ def find_exporter(name: str, mesh: Mesh | None = None) -> Exporter:
     if not isinstance(name, str):
         raise UsageError(f"to: expected one of {', '.join(EXPORTERS)}, found {shown(name)}")
     return EXPORTERS[name](mesh)
+
+
+def refuse_matches(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> None:
+    """Refuse to write over what `match` wrote, which its list and page would go on to describe.
+
+    Args:
+        exporter: By which it would be written.
+        material: What.
+        out: The folder.
+
+    Raises:
+        DataError: There is such a file.
+    """
+    if not (Path(out) / MATCHES).exists():
+        return
+    for suffix in (exporter.suffix, *exporter.beside):
+        path = material.path(Path(out), suffix)
+        if path.exists():
+            raise DataError(f"{path}: expected another folder, found a match's file, which {MATCHES} there describes")
 
 
 def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> Exported:

@@ -17,6 +17,8 @@ from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material,
 from torchbrdf.export.shading import visible
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
+from torchbrdf.measured import Measured
+from torchbrdf.measured.plausibility import RECIPROCITY_TOLERANCE, nonreciprocity
 from torchbrdf.names import file_stem
 
 Bsdf = dict[str, Any]
@@ -146,7 +148,18 @@ class Mitsuba(Exporter):
             Material(file_stem(material.name.replace(PARAMETER, "?")), material.brdf), folder
         )
         write_text(path, to_xml({"type": "measured", "filename": table.files[0].name}, material.name))
-        return Exported([path, *table.files], table.exact, table.notes, table.shown)
+        turned = _turned(material.brdf) if table.exact else []
+        return Exported([path, *table.files], table.exact and not turned, [*table.notes, *turned], table.shown)
+
+
+def _turned(brdf: Brdf) -> list[str]:
+    """A note on a measurement that Mitsuba shows with light and viewer exchanged, if that is to be seen."""
+    if not isinstance(brdf, Measured):
+        return []
+    apart = nonreciprocity(brdf)[0].item()
+    if apart <= RECIPROCITY_TOLERANCE:
+        return []
+    return [f"Mitsuba exchanges light and viewer: values there differ by {100 * apart:.2g} %, as it is not reciprocal"]
 
 
 def _types(plugin: Bsdf) -> str:

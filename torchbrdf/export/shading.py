@@ -11,6 +11,7 @@ from torchbrdf.export.base import Brdf, Exported, Material
 from torchbrdf.export.refit import refit
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, Lambert, Lobe
+from torchbrdf.measured import Measured
 
 # How far beyond a limit a value may be by rounding, as a share of the limit, or of 1.
 ROUNDING = 1e-5
@@ -94,7 +95,8 @@ class Target:
                 return self._own(part, material.brdf, material.name, [])
         fitted = refit(material, self.model)
         (part,) = fitted.model.components()
-        nearer = f"; torchbrdf match MEASUREMENT --for {self.name} finds a nearer one" if self.name else ""
+        measured = self.name and isinstance(material.brdf, Measured)
+        nearer = f"; torchbrdf match MEASUREMENT --for {self.name} finds a nearer one" if measured else ""
         return self._own(part, fitted.model, material.name, [fitted.note + nearer])
 
     def _exactly(self, lobe: Lobe, kind: str | None, material: Material) -> Shading | None:

@@ -313,7 +313,8 @@ def _why_not_finite(record: FitRecord) -> str:
     """What was expected and found: a parameter outside its bounds, where there is one, is what can be mended."""
     outside = outside_bounds(from_parameters(record.model, record.parameters, torch.float64))
     if outside:
-        return f"expected them within their bounds, found {outside[0]}, with which values are not finite"
+        every = "; ".join(outside[:4])
+        return f"expected them within their bounds, found {every}, with which values are not finite"
     limit = f"{LARGEST_VALUE:g} / sr"
     return f"expected those of a model with values of at most {limit}, found others for {record.material}"
 

@@ -170,7 +170,7 @@ def check(brdf: Lobe | Measured, *, seed: int = 0) -> list[Plausibility]:
             None if isinstance(own, Measured) and own.is_scattered else apart[m].item(),
             there[m].amin().item(),
             (there[m] < 0).any(-1).double().mean().item(),
-            _invalid(own) if isinstance(own, Measured) else 0.0,
+            invalid_share(own) if isinstance(own, Measured) else 0.0,
             min(reach),
             *reach,
         )
@@ -240,8 +240,12 @@ def _random_directions(seed: int) -> tuple[Tensor, Tensor]:
     return wi, wo
 
 
-def _invalid(material: Measured) -> float:
-    """The share of samples within 80 degrees that are not valid; 1 where there is none at all."""
+def invalid_share(material: Measured) -> float:
+    """The share of samples within 80 degrees that are not valid; 1 where there is none at all.
+
+    Args:
+        material: One.
+    """
     slant = torch.minimum(material.pairs.cos_i, material.pairs.cos_o)[0]
     within = slant >= math.cos(math.radians(RELIABLE))
     valid = material.weight[0, :, 0] > 0

@@ -83,8 +83,8 @@ class Reach(NamedTuple):
 def measured_up_to(brdf: Brdf) -> Reach:
     """The angles from the normal, in degrees, up to which the directions of a BRDF were measured; 90 of a lobe.
 
-    Up to it most samples are valid, so that a few beyond do not count; and beyond, there is none with such an
-    incident, or such an outgoing, direction.
+    Up to it at least half as many samples are valid as where most are, so that a few beyond do not count, nor does what
+    is missing at all angles; and beyond, there is none with such an incident, or such an outgoing, direction.
 
     Args:
         brdf: A lobe, or one measured material.
@@ -110,7 +110,8 @@ def measured_up_to(brdf: Brdf) -> Reach:
     farther = torch.maximum(theta_i, theta_o)
     ring = (farther / RING).long().clamp_max(int(90 / RING) - 1)
     known, every = (torch.bincount(ring[own], minlength=int(90 / RING)) for own in (valid, above))
-    mostly = valid & (2 * known >= every)[ring]
+    share = known / every.clamp_min(1)
+    mostly = valid & (2 * share >= share.max())[ring]
     last = farther[mostly].max() if mostly.any() else torch.zeros_like(farther[0])
     found = Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
     # A table has no value where either angle is beyond, so that one angle says all of it.

@@ -93,7 +93,10 @@ def profile_figure(path: Path, group: Measured, records: Sequence[FitRecord]) ->
 
 def albedo_figure(path: Path, found: Sequence[Plausibility]) -> None:
     """Albedo of each material over the angle of the light, the channel that reflects most; above 1 is no surface."""
-    with new_figure(path, 7, 4) as figure:
+    labelled = len(found) <= MOST_LABELS
+    columns = 1 + (len(found) - 1) // 12 if labelled else 0
+    widest = max(len(one.name) for one in found) if labelled else 0
+    with new_figure(path, 7 + columns * (0.5 + 0.055 * widest), 4) as figure:
         panel = figure.subplots()
         for one in found:
             panel.plot(one.angles, [max(row) for row in one.albedo], "o-", ms=3, lw=1, label=one.name)
@@ -102,8 +105,8 @@ def albedo_figure(path: Path, found: Sequence[Plausibility]) -> None:
         panel.set(xlabel="light, degrees from the normal", ylabel="albedo, brightest channel", xlim=(0, 90))
         panel.set_ylim(0, max(1.05, 1.05 * highest))
         panel.axhline(1, color="grey", lw=0.8)
-        if len(found) <= MOST_LABELS:
-            panel.legend(frameon=False, fontsize=7, ncols=1 + (len(found) - 1) // 12)
+        if labelled:
+            panel.legend(frameon=False, fontsize=7, ncols=columns, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 def quality_figure(

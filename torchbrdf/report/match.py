@@ -15,13 +15,13 @@ from torchbrdf.experiment.matching import Budget, Match, Tried, find_budget, fin
 from torchbrdf.experiment.matching.judge import ALSO, DECIDES, Brdf
 from torchbrdf.experiment.matching.search import to_json
 from torchbrdf.experiment.matching.shortfall import angles, in_words, parts
-from torchbrdf.export import EXPORTERS, Exported, export
+from torchbrdf.export import EXPORTERS, Exported
+from torchbrdf.export.api import find_exporter, material_of, write
 from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, Lobe, model_of
 from torchbrdf.measured import Measured, check, load_all
 from torchbrdf.parallel import thread_map
 from torchbrdf.progress import Progress, quiet
-from torchbrdf.registry import unknown
 from torchbrdf.render import Scene, cache_folder
 from torchbrdf.report.match_folder import FITS, LIST, PAGE, add, prepared, read_entries, stems
 from torchbrdf.report.match_page import Finished, block_of
@@ -76,8 +76,7 @@ def match(
         >>> print(found.sentence)  # doctest: +SKIP
         nickel as one GGX lobe: Delta E 0.9 (0.7 to 1.1 over three scenes); about 12 % of observers would ...
     """
-    if target not in EXPORTERS:
-        raise unknown("target", target, EXPORTERS.names())
+    EXPORTERS.check(target)
     budget = find_budget(budget) if isinstance(budget, str) else budget
     with nullcontext() if out is None else prepared(Path(out)) as folder:
         if folder is not None:
@@ -170,6 +169,9 @@ def _finish(one: Match, stem: str, target: str, folder: Path | None, bad: list[T
         notes += done.notes
     if not exact:
         notes.append(f"Delta E of the fit itself: {chosen.means}")
+    if one.untried:
+        kinds = "kind of model was" if one.untried == 1 else "kinds of models were"
+        notes.append(f"{one.untried} more {kinds} not tried, as the time of --budget was over")
     found, by_angle = parts(one.judge, shown), angles(one.judge, shown)
     files = [] if done is None else done.files
     warnings = [f"the measurement {line}" for line in check(_as_lobe(one.judge.measured))[0].warnings()]
@@ -189,7 +191,7 @@ def _written(
     refused: TorchbrdfError | None = None
     for tried in one.ranked if folder is not None else ():
         try:
-            return tried, export(tried.record, target, str(folder), name=stem)
+            return tried, write(find_exporter(target), material_of(tried.record, stem), folder or Path())
         except TorchbrdfError as error:
             refused = refused or error
     if refused is not None:

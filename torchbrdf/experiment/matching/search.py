@@ -61,12 +61,14 @@ class Match:
         judge: Its pictures.
         tried: All fits, simplest first.
         reach: How far from the normal it is measured, in degrees.
+        untried: Kinds of models that the budget had no time for.
     """
 
     material: str
     judge: Judge
     tried: list[Tried] = field(default_factory=list)
     reach: float = 90.0
+    untried: int = 0
 
     @property
     def settled(self) -> bool:
@@ -156,6 +158,8 @@ def find_matches(
     for number, candidate in enumerate(candidates):
         left = [entry for entry in entries if budget.all_of_them or not entry.match.settled]
         if number and time.perf_counter() - began > budget.seconds:
+            for entry in left:
+                entry.match.untried = len(candidates) - number
             break
         for name in candidate.losses(budget):
             place = None if out is None else out / f"{candidate.stem}-{name}{_tag(name, budget)}"
@@ -171,6 +175,12 @@ def find_matches(
         else:
             _say(bad, DataError(f"{entry.match.material}: no fit came to an end: {entry.reason or 'none was begun'}"))
     return found
+
+
+def _path(one: Measured) -> str:
+    """The file of a material, if it has one."""
+    paths = one.source.paths
+    return str(paths[one.materials[0]]) if one.materials[0] < len(paths) else ""
 
 
 @dataclass
@@ -195,7 +205,7 @@ def _entries(
     """The materials, each with the pictures that judge its fits; what has none is said."""
     if not any(map(len, groups)):
         raise UsageError("match: expected at least one material, found none")
-    known, taken = KnownMaterials(out), set()
+    known, taken = KnownMaterials(out), dict[str, object]()
     found = []
     for number, group in enumerate(groups):
         for row in range(len(group)):
@@ -203,8 +213,9 @@ def _entries(
             name = group.names[row]
             try:
                 if name in taken:
-                    raise DataError(f"{name}: comes twice; give each file a name of its own")
-                taken.add(name)
+                    both = f"{taken[name]} and {_path(one) or 'another'}"
+                    raise DataError(f"{name}: comes twice, in {both}; give each file a name of its own")
+                taken[name] = _path(one) or "one measurement"
                 # Views of their own, as each keeps all of its pairs.
                 known.check(name, one.batch())
                 match = Match(name, Judge(one, scenes), reach=measured_up_to(one.batch()).both)
