@@ -96,7 +96,10 @@ def test_what_blender_does_not_do_is_done_to_the_inputs(tmp_path: Path) -> None:
     plain = OpenPBR(base_color=0.5, base_metalness=0.0, coat_weight=0.0, dtype=torch.float64)
     assert inputs_for_blender(plain) == inputs_of(plain)
     metal = OpenPBR(base_color=0.5, base_metalness=1.0, specular_weight=0.5, coat_weight=0.0, dtype=torch.float64)
-    assert inputs_for_blender(metal)["base_color"] == [0.25] * 3
+    found = inputs_for_blender(metal)
+    assert found["base_color"] == [0.25] * 3
+    half = 0.5 * (0.5 + 0.5 * (6 / 7) ** 5)  # of OpenPBR's F where the cosine is 1/7
+    assert found["specular_color"] == pytest.approx([half / (0.25 + 0.75 * (6 / 7) ** 5)] * 3)
     coated = OpenPBR(
         base_color=0.5, base_metalness=0.0, specular_ior=1.5, specular_roughness=0.5,
         coat_weight=1.0, coat_ior=1.5, coat_roughness=0.5, coat_darkening=1.0, dtype=torch.float64,

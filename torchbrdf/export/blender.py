@@ -7,10 +7,13 @@ https://docs.blender.org/manual/en/latest/render/shader_nodes/shader/principled.
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
 from torchbrdf.export.mtlx import conductor, diffuse, ggx, inputs_of
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values
 from torchbrdf.lobes import OpenPBR
+from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.openpbr import below_coat, darkening, eta_below_coat
 
 # The sockets of Blender 4.0 and later that a material of reflections alone has, and what they may be.
@@ -71,13 +74,18 @@ def sockets(inputs: Values) -> Values:
 def inputs_for_blender(lobe: OpenPBR) -> Values:
     """OpenPBR's inputs with what Blender's node does not do done to them.
 
-    A metal's weight goes into the base colour, in its share. A coat makes the base rougher, changes its index of
-    refraction, and darkens it by what it throws back.
+    A metal's weight goes into the base colour and into the tint at 82 degrees, in its share: F at the normal and there
+    is that of OpenPBR. A coat makes the base rougher, changes its index of refraction, and darkens it by what it throws
+    back.
     """
     values = {name: getattr(lobe, name).detach() for name in lobe.parameter_specs}
     weight, coat, coat_ior = (values[name] for name in ("specular_weight", "coat_weight", "coat_ior"))
-    metal = 1 + values["base_metalness"] * (weight - 1)
-    found = inputs_of(lobe) | {"base_color": (metal * values["base_color"]).tolist()}
+    metalness, color, tint = (values[name] for name in ("base_metalness", "base_color", "specular_color"))
+    lower = tint * weight * _at_82_degrees(color) / _at_82_degrees(weight * color)
+    found = inputs_of(lobe) | {
+        "base_color": ((1 + metalness * (weight - 1)) * color).tolist(),
+        "specular_color": (tint + metalness * (lower - tint)).tolist(),
+    }
     if not coat.item() > 0:
         return found
     alpha = below_coat(values["specular_roughness"], coat, values["coat_roughness"])
@@ -88,6 +96,11 @@ def inputs_for_blender(lobe: OpenPBR) -> Values:
         "specular_weight": 1.0,
         "coat_color": (1 + (left - 1) / coat).clamp(0, 1).tolist(),
     }
+
+
+def _at_82_degrees(f0: Tensor) -> Tensor:
+    """Schlick's F where the cosine is 1/7, of which the tint is a factor."""
+    return schlick(f0, f0.new_tensor(1 / 7))
 
 
 def _diffuse(lobe: Any) -> Values:
