@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from torchbrdf import bounds, memory
 from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, printable, shown
+from torchbrdf.kinds import BANDS, check_word
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
@@ -102,15 +103,25 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_bands(parser: argparse.ArgumentParser) -> None:
+    """The option for what becomes of bands of wavelengths."""
+    said = "bands of wavelengths: rgb (default), made linear RGB by the CIE 1931 observer; keep, as they are"
+    parser.add_argument("--bands", default="rgb", help=said)
+
+
 def read_settings(options: Options) -> dict[str, str]:
-    """What `--read` says, by name."""
+    """What `--read` and `--bands` say, by name."""
     found = {}
     for text in options.read:
         name, mark, value = text.partition("=")
         if not mark:
             raise UsageError(f"--read: expected NAME=VALUE, found {shown(text)}")
+        if name == "bands":
+            raise UsageError("--read: expected angles, illuminant or quantity, found bands: fit and info have --bands")
         found[name] = value
-    return found
+    bands = getattr(options, "bands", BANDS[0])
+    check_word("--bands", bands, BANDS)
+    return found if bands == BANDS[0] else {**found, "bands": bands}
 
 
 def load_files(files: Sequence[str], settings: dict[str, str] | None = None) -> tuple[list["Measured"], bool]:

@@ -7,6 +7,7 @@ from torchbrdf.bounds import SEEDS
 from torchbrdf.cli.common import (
     Commands,
     Options,
+    add_bands,
     add_memory,
     add_reading,
     described,
@@ -98,6 +99,7 @@ def add(commands: Commands) -> None:
     )
     add_memory(parser)
     add_reading(parser)
+    add_bands(parser)
     parser.set_defaults(command=command)
 
 
@@ -112,6 +114,7 @@ def command(options: Options) -> int:
     from torchbrdf.lobes import make_model, read_fits
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
+    settings = read_settings(options)
     STRATEGIES[options.strategy]
     model = make_model(options.model, options.lobes)
     DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed
@@ -122,7 +125,7 @@ def command(options: Options) -> int:
             destination(out / name)
         if (out / FITS).exists():
             read_fits(out / FITS)
-    groups, complete = load_files(options.files, read_settings(options))
+    groups, complete = load_files(options.files, settings)
     if not groups:
         return 1
     batches = Batches(

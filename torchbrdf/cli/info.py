@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from statistics import fmean
 from typing import Any
 
-from torchbrdf.cli.common import Commands, Options, add_reading, described, read_settings, say, short
+from torchbrdf.cli.common import Commands, Options, add_bands, add_reading, described, read_settings, say, short
 from torchbrdf.errors import DataError, UsageError
 
 DESCRIPTION = """\
@@ -30,11 +30,13 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     add_reading(parser)
+    add_bands(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf info`."""
+    settings = read_settings(options)
     from torchbrdf.measured import describe
     from torchbrdf.measured.load import find_files
 
@@ -48,7 +50,7 @@ def command(options: Options) -> int:
     files = find_files(options.files, bad) if options.files else []
     for k, path in enumerate(files):
         try:
-            facts = describe(path, read_settings(options))
+            facts = describe(path, settings)
         except DataError as error:
             bad.append(error)
             continue

@@ -5,12 +5,17 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from torchbrdf.color import LUMINANCE
 from torchbrdf.errors import ShapeError, shown
+from torchbrdf.kinds import BANDS as BANDS
 from torchbrdf.registry import unknown
 
 Illuminant = Literal["D65", "E"]
 ILLUMINANTS: tuple[str, ...] = get_args(Illuminant)
 DEFAULT_ILLUMINANT = "D65"
+
+RGB, KEEP = BANDS
+"""What may become of bands: linear RGB, or what they are."""
 
 VISIBLE = (380.0, 780.0)
 """Wavelengths, in nm, that colours are sums over."""
@@ -125,6 +130,38 @@ def rgb_weights(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINA
     weights = shares @ seen
     found: np.ndarray = weights / weights.sum(0)
     return found
+
+
+def luminance_shares(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINANT) -> tuple[float, ...]:
+    """What each band counts in luminance; bands without colour count alike.
+
+    Args:
+        wavelengths: Of the bands, in nm, growing.
+        illuminant: As of `rgb_weights`.
+
+    Example:
+        >>> from torchbrdf.measured.bands import luminance_shares
+        >>> [round(share, 3) for share in luminance_shares([465, 525, 630])]
+        [0.113, 0.539, 0.348]
+    """
+    found = np.clip(rgb_weights(wavelengths, illuminant) @ np.array(LUMINANCE), 0, None)  # Y, but for rounding
+    return tuple((found / found.sum()).tolist())
+
+
+def bands_in_words(channels: int, wavelengths: Sequence[float] | None) -> str:
+    """What channels are that are not linear RGB.
+
+    Example:
+        >>> from torchbrdf.measured.bands import bands_in_words
+        >>> bands_in_words(31, range(400, 710, 10)), bands_in_words(2, None)
+        ('31 bands from 400 to 700 nm', '2 bands whose wavelengths nobody said')
+    """
+    count = "1 band" if channels == 1 else f"{channels} bands"
+    if wavelengths is None:
+        return f"{count} whose wavelength{'s' * (channels > 1)} nobody said"
+    if channels <= 4:
+        return f"{count} of {', '.join(f'{one:g}' for one in wavelengths)} nm"
+    return f"{count} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
 
 
 def is_grey(wavelengths: Sequence[float]) -> bool:

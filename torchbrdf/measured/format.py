@@ -144,6 +144,11 @@ class BrdfFormat(ABC):
                 yield row, part, found[2], surface
 
     @property
+    def is_scattered(self) -> bool:
+        """Whether values are interpolated between samples without a grid: where `at` is the one here."""
+        return type(self).at is BrdfFormat.at
+
+    @property
     def _ready(self) -> "OrderedDict[object, Any]":
         """What was made of samples to look others up, the latest last."""
         found: OrderedDict[object, Any] = self.__dict__.setdefault("_made_ready", OrderedDict())

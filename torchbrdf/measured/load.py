@@ -10,6 +10,7 @@ import torch
 
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes.zoo import is_zoo, zoo_record
+from torchbrdf.measured.bands import BANDS, RGB
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
 from torchbrdf.names import LONGEST_NAME, clean_name
@@ -29,6 +30,7 @@ def load(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
     settings: Mapping[str, str] | None = None,
+    bands: str = RGB,
 ) -> Measured:
     """Load measured BRDFs from a file, several files, or a folder; all of one format.
 
@@ -40,6 +42,8 @@ def load(
         device: Of the values; by default the CPU.
         settings: What the files do not say and their reader is to take, such as `{"angles": "degrees"}`; a format has
             those in its `settings`.
+        bands: What becomes of bands of wavelengths: "rgb", linear RGB by the CIE 1931 observer; or "keep". Formats
+            without bands give linear RGB in any case.
 
     Returns:
         All materials of all files. Names are those of the files, without suffix; where two are the same, with the
@@ -63,6 +67,7 @@ def load(
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
     ((name, members),) = groups.items()
+    settings = _with_bands(settings, bands)
     check_settings([name], settings)
     return _open(name, members, dtype, device, settings)
 
@@ -74,6 +79,7 @@ def load_all(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
     settings: Mapping[str, str] | None = None,
+    bands: str = RGB,
 ) -> list[Measured]:
     """Load measured BRDFs of mixed formats, one `Measured` for each format found.
 
@@ -83,9 +89,10 @@ def load_all(
         dtype: As for `load`.
         device: As for `load`.
         settings: As for `load`; each format takes those that it has.
+        bands: As for `load`.
 
     Returns:
-        One `Measured` a format, in the order in which the formats were found.
+        One `Measured` a format, in the order in which the formats were found; several where bands that are kept differ.
 
     Raises:
         DataError: There is no file; or a file is bad and `bad` is None.
@@ -96,10 +103,13 @@ def load_all(
         ['fits']
     """
     groups = _by_format(find_files(paths, bad), bad)
+    settings = _with_bands(settings, bands)
     check_settings(groups, settings)
-    if bad is not None:
-        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad, settings))}
-    return [_open(name, members, dtype, device, settings) for name, members in groups.items()]
+    found = []
+    for name, members in groups.items():
+        alike = [members] if bad is None and bands == RGB else _alike(name, members, bad, settings)
+        found += [_open(name, own, dtype, device, settings) for own in alike]
+    return found
 
 
 def format_of(path: Path) -> str | None:
@@ -174,9 +184,10 @@ def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> 
         >>> check_settings(["astm"], {"angles": "degrees"})
     """
     known = {key: values for name in names for key, values in FORMATS[name].settings.items()}
+    known["bands"] = BANDS  # files without them are the same either way
     for key, value in (settings or {}).items():
         if key not in known:
-            has = ", ".join(known) or "none"
+            has = ", ".join(known)
             raise UsageError(f"settings: expected one that {', '.join(names)} has ({has}), found {shown(key)}")
         if value not in known[key]:
             raise unknown(key, value, known[key])
@@ -205,16 +216,28 @@ def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     return list(made)
 
 
-def _good(name: str, paths: Sequence[Path], bad: list[DataError], settings: Mapping[str, str] | None) -> list[Path]:
-    good = []
+def _with_bands(settings: Mapping[str, str] | None, bands: str) -> Mapping[str, str] | None:
+    """Settings, with that of bands where it is not the default."""
+    if bands not in BANDS:
+        raise unknown("bands", shown(bands) if not isinstance(bands, str) else bands, BANDS)
+    return settings if bands == RGB else {**(settings or {}), "bands": bands}
+
+
+def _alike(
+    name: str, paths: Sequence[Path], bad: list[DataError] | None, settings: Mapping[str, str] | None
+) -> list[list[Path]]:
+    """The good files, in groups of those with the same bands."""
+    found: dict[object, list[Path]] = {}
     for path in paths:
         try:
-            _opened(name, [path], settings)
+            one = _opened(name, [path], settings)
         except DataError as error:
+            if bad is None:
+                raise
             bad.append(error)
         else:
-            good.append(path)
-    return good
+            found.setdefault((one.channels, one.wavelengths), []).append(path)
+    return list(found.values())
 
 
 def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
