@@ -123,10 +123,7 @@ class Batches:
         for record in (self.stored[name] for name in group.names if name in self.stored):
             lengths = None if record.wavelengths is None else tuple(record.wavelengths)
             if (record.channels, lengths) != (group.channels, group.wavelengths):
-                had, now = (
-                    "linear RGB" if one == (3, None) else bands_in_words(*one)
-                    for one in ((record.channels, lengths), (group.channels, group.wavelengths))
-                )
+                had, now = bands_in_words(record.channels, lengths), bands_in_words(group.channels, group.wavelengths)
                 where = f"{self.out}/fits.json: {record.material}"
                 raise DataError(f"{where} was fitted in {had}, not {now}; give another folder")
 

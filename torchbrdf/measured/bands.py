@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from torchbrdf.color import LUMINANCE
-from torchbrdf.errors import ShapeError, shown
+from torchbrdf.errors import DataError, ShapeError, shown
 from torchbrdf.kinds import BANDS as BANDS
 from torchbrdf.registry import unknown
 
@@ -156,12 +156,30 @@ def bands_in_words(channels: int, wavelengths: Sequence[float] | None) -> str:
         >>> bands_in_words(31, range(400, 710, 10)), bands_in_words(2, None)
         ('31 bands from 400 to 700 nm', '2 bands whose wavelengths nobody said')
     """
+    if channels == 3 and wavelengths is None:
+        return "linear RGB"
     count = "1 band" if channels == 1 else f"{channels} bands"
     if wavelengths is None:
         return f"{count} whose wavelength{'s' * (channels > 1)} nobody said"
     if channels <= 4:
         return f"{count} of {', '.join(f'{one:g}' for one in wavelengths)} nm"
     return f"{count} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+
+
+def check_same_bands(paths: Sequence[object], bands: Sequence[tuple[int, Sequence[float] | None]]) -> None:
+    """Refuse files of one format whose bands differ, which cannot be one measurement.
+
+    Args:
+        paths: The files.
+        bands: Of each how many channels, and their wavelengths.
+
+    Raises:
+        DataError: Names the first that differs.
+    """
+    for path, own in zip(paths, bands, strict=True):
+        if own != bands[0]:
+            first, other = bands_in_words(*bands[0]), bands_in_words(*own)
+            raise DataError(f"{path}: expected {first}, as {paths[0]} has, found {other}; read it alone, or as RGB")
 
 
 def is_grey(wavelengths: Sequence[float]) -> bool:

@@ -22,6 +22,7 @@ from torchbrdf.measured.bands import (
     KEEP,
     RGB,
     bands_in_words,
+    check_same_bands,
     colors_label,
     rgb_weights,
 )
@@ -101,11 +102,7 @@ class ListedFormat(BrdfFormat):
         self.told = dict(settings or {})
         self._read = [self._opened(path) for path in paths]
         self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
-        for path, one in zip(paths, self._read, strict=True):
-            own = one.values.shape[1], one.wavelengths
-            if own != (self.channels, self.wavelengths):
-                first, other = bands_in_words(self.channels, self.wavelengths), bands_in_words(*own)
-                raise DataError(f"{path}: expected {first}, as {paths[0]} has, found {other}; read it alone, or as RGB")
+        check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
 
     def _opened(self, path: Path) -> _Opened:
         listed = self.parse(path)

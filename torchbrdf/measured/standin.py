@@ -10,9 +10,17 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, one_line
+from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
-from torchbrdf.measured.bands import BANDS, DEFAULT_ILLUMINANT, ILLUMINANTS, KEEP, bands_in_words, colors_label
+from torchbrdf.measured.bands import (
+    BANDS,
+    DEFAULT_ILLUMINANT,
+    ILLUMINANTS,
+    KEEP,
+    bands_in_words,
+    check_same_bands,
+    colors_label,
+)
 from torchbrdf.measured.colors import weights_of
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
@@ -68,10 +76,7 @@ class StandIn(BrdfFormat):
         first = self.records[0]
         self.channels, lengths = first.channels, first.wavelengths
         self.wavelengths = None if lengths is None else tuple(lengths)
-        for record in self.records:
-            if (record.channels, record.wavelengths) != (first.channels, first.wavelengths):
-                one, other = (bands_in_words(each.channels, each.wavelengths) for each in (first, record))
-                raise DataError(f"{record.material}: expected {one}, as {first.material} has, found {other}; read RGB")
+        check_same_bands(self.names, [_bands_of(record) for record in self.records])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records."""
