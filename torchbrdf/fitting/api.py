@@ -192,6 +192,7 @@ def fit(
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
         intervals=joined_intervals([(one.values, one.intervals) for one in done]),
         wavelengths=measured.wavelengths,
+        reading=[measured.source.reading(material) for material in measured.materials],
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 

@@ -40,6 +40,7 @@ class FitResult:
         chosen: Of each material, the loss whose fit was kept, where the strategy fits under several; else empty.
         intervals: 95 % intervals of the parameters by the method that gave them.
         wavelengths: Of the bands that were fitted, nm; None of linear RGB, and where nobody knows them.
+        reading: Of each material, how its file was read.
         history: The stages.
 
     Example:
@@ -72,6 +73,7 @@ class FitResult:
     chosen: list[str] = field(default_factory=list)
     intervals: dict[str, Intervals] = field(default_factory=dict)
     wavelengths: tuple[float, ...] | None = None
+    reading: list[dict[str, Any]] = field(default_factory=list)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
@@ -106,6 +108,7 @@ class FitResult:
                 intervals=_plain_intervals(ends, k),
                 channels=channels_of(self.model),
                 wavelengths=None if self.wavelengths is None else list(self.wavelengths),
+                reading=self.reading[k] if self.reading else {},
                 iterations=sum(stage.iterations[k] for stage in self.history),
             )
             for k, material in enumerate(self.names)

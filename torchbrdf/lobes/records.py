@@ -71,6 +71,8 @@ class FitRecord:
         seed: Of the subset.
         channels: Of values: 3 of linear RGB, or as many as there are bands.
         wavelengths: Of the bands, nm; None of linear RGB, and where nobody knows them.
+        reading: How the measurement's file was read: its format and name, what the reader was told, what was believed,
+            and what became of bands and colours.
         scene: What a rendered loss saw.
         chosen: The loss whose fit was kept, where the strategy fits under several.
         diffuse: `45:0`, where the diffuse albedo was measured and held, or `fit`.
@@ -111,6 +113,7 @@ class FitRecord:
     seed: int | None = None
     channels: int = RGB
     wavelengths: list[float] | None = None
+    reading: dict[str, Any] = field(default_factory=dict)
     scene: str = ""
     chosen: str = ""
     diffuse: str = ""
@@ -130,7 +133,9 @@ class FitRecord:
                 found |= {name: text for name in ("scene", "chosen") if (text := getattr(self, name))}
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
-        found |= {key: getattr(self, key) for key in ("channels", "wavelengths") if not _is_default(self, key)}
+        found |= {
+            key: getattr(self, key) for key in ("channels", "wavelengths", "reading") if not _is_default(self, key)
+        }
         found["parameters"] = self.parameters
         for key in ("intervals", "errors", "outlier", "differences", "pictures"):
             if not _is_default(self, key):

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -103,7 +102,14 @@ class InColors(BrdfFormat):
         """How far pairs are from the nearest sample."""
         return self.source.distance_at(pairs, materials)
 
-    def details(self, material: int) -> dict[str, Any]:
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read, and how bands became colours."""
+        return self.source.reading(material) | {"colours": self._label}
+
+    def details(self, material: int) -> dict[str, object]:
         """What the other format says, and how bands became colours."""
-        label = colors_label(self.source.wavelengths or [0.0], self.illuminant)
-        return {**self.source.details(material), "colours": label}
+        return self.source.details(material) | {"colours": self._label}
+
+    @property
+    def _label(self) -> str:
+        return colors_label(self.source.wavelengths or [0.0], self.illuminant)

@@ -225,6 +225,14 @@ class BrdfFormat(ABC):
             found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
         return found
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file of a material was read, by name: its format, and what was told, believed and made of it."""
+        found: dict[str, object] = {"format": self.format}
+        if material < len(self.paths):
+            found["file"] = self.paths[material].name
+        told = getattr(self, "told", {})
+        return found | ({"settings": dict(told)} if told else {})
+
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""
         return {}

@@ -184,6 +184,10 @@ class ListedFormat(BrdfFormat):
         _, values, weight = self._samples
         return values[materials][:, samples], weight[materials][:, samples]
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what it says of itself, and what was believed of that."""
+        return super().reading(material) | self._read[material].facts
+
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
         one = self._read[material]

@@ -207,6 +207,10 @@ class Rgl(BrdfFormat):
         table = torch.cat([file.spectrum, finite], -1).flatten(0, 2)
         return file.warp.cells().to(device, dtype), table.to(device, dtype)
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what became of its colours."""
+        return super().reading(material) | {"colours": self._files[material].colors}
+
     def is_whole(self, material: int) -> bool:
         """Whether every stored value is a finite one: other readers do not pass over those that are none."""
         return bool(self._files[material].finite.all())

@@ -61,6 +61,10 @@ class Samples(BrdfFormat):
         """Refuse: samples do not come from files."""
         raise DataError(f"{paths[0]}: samples do not come from files")
 
+    def reading(self, material: int) -> dict[str, object]:
+        """That there was no file."""
+        return {"format": self.format}
+
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """The given values `(m, n, C)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]

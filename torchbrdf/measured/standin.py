@@ -117,6 +117,10 @@ class StandIn(BrdfFormat):
                     values[rows, part] = found if colors is None else found @ colors
         return Lookup(values, torch.zeros(len(materials), dtype=torch.int64, device=pairs.device))
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what became of the bands of a fit."""
+        return super().reading(material) | self._colors_of(self.records[material])
+
     def details(self, material: int) -> dict[str, object]:
         """The model, what it is a model of where that is said, and how far its pictures are from the material's."""
         record = self.records[material]
@@ -126,6 +130,7 @@ class StandIn(BrdfFormat):
         facts |= self._colors_of(record)
         facts |= {"status": record.status} if record.status not in ("", Status.CONVERGED) else {}
         facts |= {f"{key} of {scene}": value for scene, own in record.pictures.items() for key, value in own.items()}
+        facts |= {"read from": dict(record.reading)} if record.reading else {}
         return facts | {"parameters": dict(record.parameters)}
 
     def _batched(

@@ -40,6 +40,10 @@ class Resampled(Samples):
         """Some materials."""
         return Resampled(self.measured.batch(materials), self.pairs)
 
+    def reading(self, material: int) -> dict[str, object]:
+        """As the measurement has it."""
+        return self.measured.source.reading(self.measured.materials[material])
+
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """As the measurement has it."""
         return self.measured.batch(materials).lookup(pairs, interpolation)
