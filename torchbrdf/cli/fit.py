@@ -213,5 +213,6 @@ def _notes(record: "FitRecord") -> list[str]:
     black = record.error == 0 and not any(record.parameters.get("diffuse", [1.0]))
     notes += ["all values are 0, which every model fits"] if black else []
     notes += [f"under {record.chosen}"] if record.chosen else []
+    notes += [f"an error as of the noise alone, {short(record.noise['error'])}"] if record.has_reached_noise else []
     notes += [f"{record.ties} other minima within 1 %"] if record.ties else []
     return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])

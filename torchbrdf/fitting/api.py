@@ -22,6 +22,7 @@ from torchbrdf.fitting.intervals import (
     find_intervals,
     joined_intervals,
 )
+from torchbrdf.fitting.noise import noise_records
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
@@ -193,6 +194,7 @@ def fit(
         intervals=joined_intervals([(one.values, one.intervals) for one in done]),
         wavelengths=measured.wavelengths,
         reading=[measured.source.reading(material) for material in measured.materials],
+        noise=noise_records(measured, loss, seed),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 

@@ -41,6 +41,7 @@ class FitResult:
         intervals: 95 % intervals of the parameters by the method that gave them.
         wavelengths: Of the bands that were fitted, nm; None of linear RGB, and where nobody knows them.
         reading: Of each material, how its file was read.
+        noise: Of each material's samples, and the error that it alone makes.
         history: The stages.
 
     Example:
@@ -74,6 +75,7 @@ class FitResult:
     intervals: dict[str, Intervals] = field(default_factory=dict)
     wavelengths: tuple[float, ...] | None = None
     reading: list[dict[str, Any]] = field(default_factory=list)
+    noise: list[dict[str, Any]] = field(default_factory=list)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
@@ -109,6 +111,7 @@ class FitResult:
                 channels=channels_of(self.model),
                 wavelengths=None if self.wavelengths is None else list(self.wavelengths),
                 reading=self.reading[k] if self.reading else {},
+                noise=self.noise[k] if self.noise else {},
                 iterations=sum(stage.iterations[k] for stage in self.history),
             )
             for k, material in enumerate(self.names)

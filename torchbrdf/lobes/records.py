@@ -33,6 +33,8 @@ TEXTS = {
     "loss": 200, "strategy": 2000, "chosen": 2000, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
     "at_bounds": 200,
 }  # fmt: skip
+REACHED = 1.2
+"""An error up to so many times that of the noise alone has reached it."""
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
 
@@ -83,6 +85,8 @@ class FitRecord:
             `parameters` has values; None where there is none: held, at a bound, or at no minimum.
         differences: Image differences of its picture by name.
         pictures: The same for each of several scenes.
+        noise: Of the measurement: its `share` of the value, `by` what it was told and from how many `samples`, and the
+            `error` of a fit that is off by nothing else.
         extra: What a file says besides, which is kept.
 
     Example:
@@ -123,7 +127,14 @@ class FitRecord:
     intervals: dict[str, Any] = field(default_factory=dict)
     differences: dict[str, float] = field(default_factory=dict)
     pictures: dict[str, dict[str, float]] = field(default_factory=dict)
+    noise: dict[str, Any] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def has_reached_noise(self) -> bool:
+        """Whether the error is no more than that of the measurement's noise, or little more: `REACHED` times."""
+        alone = self.noise.get("error")
+        return isinstance(alone, int | float) and self.error <= REACHED * alone
 
     def to_json(self) -> dict[str, Any]:
         """The record by the keys of `fits.json`, in their order, without what is not known."""
@@ -137,7 +148,7 @@ class FitRecord:
             key: getattr(self, key) for key in ("channels", "wavelengths", "reading") if not _is_default(self, key)
         }
         found["parameters"] = self.parameters
-        for key in ("intervals", "errors", "outlier", "differences", "pictures"):
+        for key in ("intervals", "errors", "outlier", "differences", "pictures", "noise"):
             if not _is_default(self, key):
                 found[key] = getattr(self, key)
         return found | self.extra

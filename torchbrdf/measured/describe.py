@@ -12,6 +12,7 @@ from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.listed import ListedFormat
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.noise import noise_of
 from torchbrdf.measured.plausibility import directional_albedo
 
 FURNACE = (0.0, 60.0)
@@ -55,6 +56,8 @@ def _material(measured: Measured) -> dict[str, object]:
         "distinctness of image, degrees": _finite(distinctness_of_image(measured)[0].item()),
         "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
+    noise = noise_of(measured)
+    facts |= {} if noise is None else {"noise": str(noise)}
     facts |= measured.source.details(measured.materials[0])
     if isinstance(measured.source, ListedFormat):
         albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()

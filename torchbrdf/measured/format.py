@@ -57,6 +57,7 @@ class BrdfFormat(ABC):
         wavelengths: Of the C bands, nm, growing; None of linear RGB, and where nobody knows them.
         stand_in: Whether the values come from a model that stands in for a measurement.
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
+        is_sampled: Whether samples are measurements, whose noise can be told.
         is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
             interpolated; by default where `at` is the one here.
         settings: What a reader can be told that a file does not say, and the values of each, the default first.
@@ -73,6 +74,7 @@ class BrdfFormat(ABC):
     wavelengths: tuple[float, ...] | None = None
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
+    is_sampled: ClassVar[bool] = True
     is_reciprocal: ClassVar[bool] = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 

@@ -53,6 +53,7 @@ class StandIn(BrdfFormat):
     format = "fits"
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {"bands": BANDS, "illuminant": ILLUMINANTS}
     stand_in = True
+    is_sampled = False
     on_merl_bins = True
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What scattered samples are like: angles covered, what is missing or below 0, noise and reciprocity."""
+"""What scattered samples are like: angles covered, what is missing or below 0, and reciprocity."""
 
 import numpy as np
 
@@ -40,9 +40,6 @@ def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarra
         one[:, 2] *= np.sin(np.radians(np.minimum(arm, theta_i)))
     level = np.abs(known.mean(-1))
     facts |= _spread("reciprocity error", here, there, known, level, theta_i < theta_o - _STEP)
-    sides = np.stack([theta_i, theta_o, turn * np.sin(np.radians(np.minimum(theta_i, theta_o)))], -1)
-    mirrored = sides * [1, 1, -1]
-    facts |= _spread("noise, by mirrored samples", sides, mirrored, known, level, (turn > 1) & (turn < 179))
     return facts
 
 

@@ -32,6 +32,8 @@ class Resampled(Samples):
         pairs: Those bins, `(1, N)`.
     """
 
+    is_sampled = False
+
     def __init__(self, measured: Measured, pairs: Pairs) -> None:
         super().__init__(pairs, measured.reciprocal_at(pairs), None, measured.names)
         self.measured = measured
