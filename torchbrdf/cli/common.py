@@ -1,6 +1,7 @@
 """What the commands share."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
@@ -12,6 +13,8 @@ from torchbrdf.kinds import BANDS, check_word
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
 
+# What names of the zoo begin with, which are no files; `lobes.zoo` has them, and is not imported for this.
+ZOO = "zoo:"
 Options = argparse.Namespace
 Commands = Any
 """What argparse adds commands to; its type has no public name."""
@@ -122,6 +125,17 @@ def read_settings(options: Options) -> dict[str, str]:
     bands = getattr(options, "bands", BANDS[0])
     check_word("--bands", bands, BANDS)
     return found if bands == BANDS[0] else {**found, "bands": bands}
+
+
+def check_files(files: Sequence[str]) -> None:
+    """Refuse files of which none is there, before torch is imported; what is wrong with some is said later.
+
+    Raises:
+        DataError: Names the first.
+    """
+    if files and not any(file.startswith(ZOO) or os.path.lexists(file) for file in files):
+        rest = f", nor any of {len(files) - 1} others" if len(files) > 1 else ""
+        raise DataError(f"{shown(files[0])[1:-1] or 'an empty path'}: no such file or folder{rest}")
 
 
 def load_files(files: Sequence[str], settings: dict[str, str] | None = None) -> tuple[list["Measured"], bool]:

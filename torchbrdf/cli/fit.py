@@ -10,6 +10,7 @@ from torchbrdf.cli.common import (
     add_bands,
     add_memory,
     add_reading,
+    check_files,
     described,
     load_files,
     number,
@@ -106,6 +107,8 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
     _check_names(options)
+    settings = read_settings(options)
+    check_files(options.files)
 
     from torchbrdf.experiment.discrimination import shares_of_fits
     from torchbrdf.experiment.labels import difference_label, diffuse_label
@@ -114,7 +117,6 @@ def command(options: Options) -> int:
     from torchbrdf.lobes import make_model, read_fits
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
-    settings = read_settings(options)
     STRATEGIES[options.strategy]
     model = make_model(options.model, options.lobes)
     DIFFERENCES[options.difference]()  # which says if it needs an extra that is not installed

@@ -8,7 +8,17 @@ from collections.abc import Iterator
 from statistics import fmean
 from typing import Any
 
-from torchbrdf.cli.common import Commands, Options, add_bands, add_reading, described, read_settings, say, short
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_bands,
+    add_reading,
+    check_files,
+    described,
+    read_settings,
+    say,
+    short,
+)
 from torchbrdf.errors import DataError, UsageError
 
 DESCRIPTION = """\
@@ -37,6 +47,8 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf info`."""
     settings = read_settings(options)
+    if not (options.system or options.zoo):
+        check_files(options.files)
     from torchbrdf.measured import describe
     from torchbrdf.measured.load import find_files
 

@@ -1,5 +1,6 @@
 """Colours of what was measured in bands of wavelengths: CIE 1931 and linear RGB with the primaries of ITU-R BT.709."""
 
+import re
 from collections.abc import Sequence
 from typing import Literal, get_args
 
@@ -22,6 +23,9 @@ VISIBLE = (380.0, 780.0)
 LONGEST = 1e6
 """No wavelength of a reflectance, in nm, is as long."""
 _STEP = 5.0
+# What columns of values are called.
+_PRIMARIES = (("r", "g", "b"), ("red", "green", "blue"))
+_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(?:nm)?")
 # Spectral power at 380, 390, ..., 780 nm. Source: CIE 015:2018, Colorimetry, table 1.
 _D65 = (
     49.9755, 54.6482, 82.7549, 91.4860, 93.4318, 86.6823, 104.865, 117.008, 117.812, 114.861, 115.923, 108.811,
@@ -91,6 +95,36 @@ def checked_wavelengths(wavelengths: Sequence[float], channels: int) -> tuple[fl
     if not all(0 < one < other for one, other in zip(found, (*found[1:], LONGEST), strict=True)):
         raise ShapeError(f"wavelengths: expected numbers that grow, in nm, found {shown(found)}")
     return found
+
+
+def columns_of_bands(names: Sequence[str]) -> tuple[list[int], list[float] | None] | None:
+    """Which columns of a table are bands, by the names of all, in the order of their wavelengths.
+
+    They are red, green and blue, `r`, `g`, `b` in any order; or wavelengths, such as `465nm`; or one column of any
+    other name, grey.
+
+    Args:
+        names: Of the columns of values, in lower case.
+
+    Returns:
+        The columns' places in their order, and their wavelengths, nm; None in the place of these for linear RGB and
+        grey. None for names of neither kind.
+
+    Example:
+        >>> from torchbrdf.measured.bands import columns_of_bands
+        >>> columns_of_bands(["630nm", "465 nm"]), columns_of_bands(["b", "g", "r"]), columns_of_bands(["x", "y"])
+        (([1, 0], [465.0, 630.0]), ([2, 1, 0], None), None)
+    """
+    for primaries in _PRIMARIES:
+        if sorted(names) == sorted(primaries):
+            return [list(names).index(name) for name in primaries], None
+    found = [_BAND.fullmatch(name) for name in names]
+    if names and all(found):
+        by_length = sorted((float(one[1]), k) for k, one in enumerate(found) if one)
+        lengths = [length for length, _ in by_length]
+        if len(set(lengths)) == len(lengths) and lengths[0] > 0 and lengths[-1] < LONGEST:
+            return [k for _, k in by_length], lengths
+    return ([0], None) if len(names) == 1 else None
 
 
 def rgb_weights(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINANT) -> np.ndarray:

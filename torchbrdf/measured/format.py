@@ -50,6 +50,7 @@ class BrdfFormat(ABC):
         format: The name of the format.
         suffixes: Those that no other kind of file has: a file so named that is not of the format is a bad one, and not
             one to pass over.
+        is_text: Whether files are text; of a format that is not, a text is no bad file, whatever its suffix.
         names: Of the materials, M.
         paths: The file of each material.
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
@@ -67,6 +68,7 @@ class BrdfFormat(ABC):
 
     format: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
+    is_text: ClassVar[bool] = True
     names: Sequence[str]
     paths: Sequence[Path]
     pairs: Pairs
@@ -88,6 +90,11 @@ class BrdfFormat(ABC):
     @abstractmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
         """Whether a file is of this format, by `head`, its first 64 bytes (and its size)."""
+
+    @classmethod
+    def hint(cls, path: Path, head: bytes) -> str:
+        """What a file that no format knows lacks to be of this one, in words; "" where that is not to be told."""
+        return ""
 
     @classmethod
     @abstractmethod

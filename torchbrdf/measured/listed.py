@@ -27,7 +27,7 @@ from torchbrdf.measured.bands import (
     rgb_weights,
 )
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
-from torchbrdf.measured.summary import summary
+from torchbrdf.measured.summary import repeated, summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -123,6 +123,9 @@ class ListedFormat(BrdfFormat):
                 raise DataError(f"{path}: {expected} {f'{finite.min():.3g} and more' if finite.size else 'none'}")
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
+        if again := repeated(wi[valid], wo[valid], values[valid]):
+            facts["repeated directions"] = again
+            log.warning("torchbrdf: %s: repeated directions: %s", path, again)
         values[~valid] = 0
         toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
         return _Opened(toward, seen, found, good, facts, wavelengths)

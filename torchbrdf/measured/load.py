@@ -13,12 +13,16 @@ from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.measured.bands import BANDS, RGB
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.rows import is_text
 from torchbrdf.names import LONGEST_NAME, clean_name
 from torchbrdf.reading import reading
 from torchbrdf.registry import unknown
 
 log = logging.getLogger("torchbrdf")
 
+# What commands write beside fits, and pictures of any kind, which nobody takes for measurements.
+_WRITTEN = ("fits.csv", "materials.json", "recipe.json", "study.json", "match.json", "check.json", "log.txt")
+_PICTURES = (".png", ".jpg", ".exr", ".hdr", ".html", ".pdf", ".svg")
 # Bytes of a name that are left for the number behind it.
 ROOM = 12
 
@@ -118,7 +122,8 @@ def format_of(path: Path) -> str | None:
     for name, source in sorted(FORMATS.items(), key=lambda item: not _ours(item[1])):  # ours before others'
         if head and _recognises(name, source, path, head):
             return name
-    return next((name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes), None)
+    by_suffix = (name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes)
+    return next((name for name in by_suffix if FORMATS[name].is_text or not is_text(head)), None)
 
 
 def _head(path: Path) -> bytes:
@@ -258,7 +263,9 @@ def _expect_format(path: Path) -> str:
     if not head:
         raise DataError(f"{path}: the file is empty; expected a measured BRDF ({_known()})")
     if name is None:
-        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found a file that begins with {head[:12]!r}")
+        hints = (source.hint(path, head) for source in FORMATS.values() if _ours(source))
+        found = next(filter(None, hints), f"a file that begins with {head[:12]!r}")
+        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found {found}")
     return name
 
 
@@ -305,10 +312,21 @@ def _folder(path: Path) -> list[Path]:
         inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    known = [file for file in map(_file, inside) if format_of(file)]
+    named = {suffix for source in FORMATS.values() for suffix in source.suffixes}
+    known = [file for file in map(_file, inside) if file.suffix.lower() in named or format_of(file)]
     if not known:
         raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {_count(path, len(inside))}")
+    _say_passed(path, [file for file in inside if _file(file) not in known])
     return known
+
+
+def _say_passed(folder: Path, passed: Sequence[Path]) -> None:
+    """Say how many files of a folder are none of ours, unless they are what commands wrote there."""
+    others = [file for file in passed if file.name not in _WRITTEN and file.suffix.lower() not in _PICTURES]
+    if others:
+        count = "1 file" if len(others) == 1 else f"{len(others)} files"
+        end = "" if len(others) == 1 else ", ..."
+        log.warning("torchbrdf: %s: passed over %s of no known format: %s%s", folder, count, others[0].name, end)
 
 
 def _count(folder: Path, files: int) -> str:

@@ -14,7 +14,7 @@ from torchbrdf.errors import DataError, ShapeError
 from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, bands_in_words, luminance_shares
 from torchbrdf.measured.colors import InColors
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
-from torchbrdf.measured.samples import Samples, check_given, check_samples, row_of
+from torchbrdf.measured.samples import Samples, check_given, row_of, samples_of
 from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import unknown
 
@@ -213,14 +213,14 @@ class Measured:
 
         Args:
             materials: Indices into these materials; by default all.
-            samples: Indices `(n,)` into these samples; by default all.
+            samples: Indices `(n,)` into these samples, or of each whether it is meant, `(N,)`; by default all.
 
         Raises:
             UsageError: There is no such material or sample.
         """
         chosen = self.materials if materials is None else [self.materials[row_of(k, len(self))] for k in materials]
         if samples is not None:
-            check_samples(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
+            samples = samples_of(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
         if samples is not None and self.samples is not None:
             samples = self.samples[samples.to(self.samples.device)]
         found = self._view(materials=chosen, samples=self.samples if samples is None else samples)

@@ -126,6 +126,7 @@ class Rgl(BrdfFormat):
     format = "rgl"
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
     suffixes = (".bsdf",)
+    is_text = False
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self.paths, self.told = list(paths), dict(settings or {})

@@ -121,8 +121,8 @@ def row_of(material: Any, count: int) -> int:
     return row
 
 
-def check_samples(samples: Any, count: int) -> None:
-    """Refuse what is no index into so many samples.
+def samples_of(samples: Any, count: int) -> Tensor:
+    """An index into so many samples, int64, from what may count from the end, or says of each whether it is meant.
 
     Raises:
         UsageError: It is no tensor `(n,)` of whole numbers, or of as many truths as there are samples; or there is no
@@ -133,10 +133,13 @@ def check_samples(samples: Any, count: int) -> None:
         raise UsageError(f"{expected}, found {shown(samples)}")
     if samples.dim() != 1 or samples.is_floating_point() or samples.is_complex():
         raise UsageError(f"{expected}, found {samples.dtype} {(*samples.shape,)}")
-    if samples.dtype == torch.bool and len(samples) != count:
-        raise UsageError(f"{expected}, found {len(samples)} truths")
-    if samples.dtype == torch.bool or not len(samples):
-        return
+    if samples.dtype == torch.bool:
+        if len(samples) != count:
+            raise UsageError(f"{expected}, found {len(samples)} truths")
+        return samples.nonzero()[:, 0]
+    if not len(samples):
+        return samples.long()
     low, high = int(samples.min()), int(samples.max())
     if not -count <= low <= high < count:
         raise UsageError(f"batch: expected samples 0 to {count - 1}, found {high if high >= count else low}")
+    return samples.long() if low >= 0 else samples.long() % count

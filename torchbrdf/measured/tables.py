@@ -133,9 +133,7 @@ def measured_up_to(brdf: Brdf) -> Reach:
     known, every = (torch.bincount(ring[own], minlength=int(90 / RING)) for own in (valid, above))
     mostly = valid & (2 * known >= every)[ring]
     last = farther[mostly].max() if mostly.any() else torch.zeros_like(farther[0])
-    found = Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
-    # A table has no value where either angle is beyond, so that one angle says all of it.
-    return found if brdf.is_scattered else Reach(found.both, found.both)
+    return Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
 
 
 def angle_from_normal(cosine: Tensor) -> Tensor:
