@@ -187,3 +187,17 @@ def test_the_command_keeps_bands(tmp_path, capsys):
     assert main([*arguments[:5], "all"]) == 2
     assert main(["check", str(tmp_path / "paint.astm"), "--read", "bands=keep"]) == 2
     assert "--bands" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("loss", ["rms", "compressed"])
+def test_tables_in_bands_are_those_of_their_channels(loss):
+    """Of as many channels as RGB, and of others."""
+    _, measured = made_up(3, 2000)
+    five = Measured.from_samples(measured.pairs, measured.values[..., [0, 1, 2, 1, 0]], names=["paint"])
+    settings = {"diffuse": "fit", "max_iterations": 20}
+    three = fit(make_model("distribution_based", 1), measured, make_loss(loss), **settings)
+    more = fit(make_model("distribution_based", 1), five, make_loss(loss), **settings)
+    assert channels_of(more.model) == 5 and more.status == three.status
+    table, wanted = (found.model.components()[1].distribution[0] for found in (more, three))
+    torch.testing.assert_close(table, wanted[:, [0, 1, 2, 1, 0]], rtol=0.02, atol=1e-3)
+    assert FitRecord.from_json(more.records()[0].to_json()).channels == 5
