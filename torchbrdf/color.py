@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from torchbrdf.errors import ShapeError
+
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """What linear red, green and blue count in luminance, with the primaries of ITU-R BT.709."""
 
@@ -16,10 +18,15 @@ def luminance(rgb: Tensor) -> Tensor:
     Returns:
         `(...)`, in the same unit.
 
+    Raises:
+        ShapeError: There are other channels than three.
+
     Example:
         >>> luminance(torch.tensor([[1.0, 1.0, 1.0], [0.0, 1.0, 0.0]]))
         tensor([1.0000, 0.7152])
     """
+    if rgb.shape[-1:] != (3,):
+        raise ShapeError(f"luminance: expected linear RGB (..., 3), found {(*rgb.shape,)}")
     red, green, blue = LUMINANCE
     return rgb[..., 0] * red + rgb[..., 1] * green + rgb[..., 2] * blue
 

@@ -37,6 +37,7 @@ STRATEGIES: Registry[Any] = Registry("strategy", "torchbrdf.fitting", "torchbrdf
 
 DIFFUSE_MODES = ("45:0", "fit")
 INTERVALS = ("none", "gauss_newton", "bootstrap")
+BANDS = ("rgb", "keep")
 BACKENDS = ("auto", "pyrender", "software")
 SCALINGS = ("likelihood", "least_squares")
 FORMULAS = ("mean_log_difference",)

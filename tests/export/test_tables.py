@@ -67,7 +67,9 @@ def test_what_merl_tables_have_not_is_said(tmp_path: Path) -> None:
     path = rgl_file(tmp_path / "some.bsdf", theta_i=theta, rgb=rgb)
     notes = export(path, "merl", tmp_path / "out").notes
     assert "negative channels, in " in notes[1] and "of the bins, are 0" in notes[1]
-    assert notes[2] == "measured up to 60 degrees from the normal; beyond, values are extrapolated"
+    assert notes[2] == (
+        "measured with the light up to 60 degrees from the normal, the viewer up to 89; beyond, values are extrapolated"
+    )
     assert measured_up_to(PAINT) == (90, 90)
 
 

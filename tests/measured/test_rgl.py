@@ -229,7 +229,16 @@ def test_pairs_whose_azimuth_is_folded_to_half_a_turn(synthetic_file):
 
 BAD = {
     "phi_i has two": ({"phi_i": np.zeros(3, "f4")}, r"expected an isotropic material"),
-    "only spectra": ({"rgb": None, "spectra": np.zeros(3, "f4")}, r"found 'spectra'; take the database's _rgb file"),
+    "only spectra": ({"rgb": None, "spectra": np.zeros(3, "f4")}, r"expected a field 'wavelengths', found"),
+    "wavelengths that fall": (
+        {"rgb": None, "spectra": np.zeros((1, 5, 2, 8, 8), "f4"), "wavelengths": np.array([500, 400], "f4")},
+        r"wavelengths: expected numbers that grow, in nm, found \(500",
+    ),
+    "other wavelengths": (
+        {"rgb": None, "spectra": np.zeros((1, 5, 3, 8, 8), "f4"), "wavelengths": np.array([400, 500], "f4")},
+        r"field 'spectra': expected \(1, 5, 2, n, n\)",
+    ),
+    "no values": ({"rgb": None}, r"expected a field 'rgb', found"),
     "theta_i falls": ({"theta_i": np.linspace(1, 0, 5).astype("f4")}, r"theta_i: expected angles that grow"),
     "theta_i is nan": ({"theta_i": np.full(5, np.nan, "f4")}, r"theta_i: expected angles that grow"),
     "theta_i in degrees": ({"theta_i": np.linspace(0, 90, 5).astype("f4")}, r"theta_i: expected angles that grow"),
@@ -248,11 +257,11 @@ BAD = {
         {"theta_i": np.array([0, -np.inf, 1, 1.2, 1.5], "f4")},
         r"theta_i: .*, found 0, -inf, 1, 1.2, 1.5$",
     ),
-    "rgb huge": ({"rgb": np.full((1, 5, 3, 8, 8), 1e30, "f4")}, r"rgb: no finite value of at most 1e.06"),
-    "rgb nan": ({"rgb": np.full((1, 5, 3, 8, 8), np.nan, "f4")}, r"rgb: no finite value"),
+    "rgb huge": ({"rgb": np.full((1, 5, 3, 8, 8), 1e30, "f4")}, r"values: no finite value of at most 1e.06"),
+    "rgb nan": ({"rgb": np.full((1, 5, 3, 8, 8), np.nan, "f4")}, r"values: no finite value"),
     "rgb has 4": ({"rgb": np.ones((1, 5, 4, 8, 8), "f4")}, r"field 'rgb': expected \(1, 5, 3, n, n\)"),
     "rgb of bytes": ({"rgb": np.ones((1, 5, 3, 8, 8), "u1")}, r"of kind 'f', found .* of uint8"),
-    "rgb one node": ({"rgb": np.ones((1, 5, 3, 1, 1), "f4")}, r"rgb: expected a grid of 2 x 2"),
+    "rgb one node": ({"rgb": np.ones((1, 5, 3, 1, 1), "f4")}, r"values: expected a grid of 2 x 2"),
     "jacobian": ({"jacobian": np.ones(1, "f4")}, r"field 'jacobian': expected \(1\) of kind 'u'"),
 }
 

@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, add_reading, described, load_files, read_settings, say
+from torchbrdf.cli.common import Commands, Options, add_reading, check_files, described, load_files, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import DataError
 
@@ -34,6 +34,8 @@ def add(commands: Commands) -> None:
 
 def command(options: Options) -> int:
     """`torchbrdf check`."""
+    check_files(options.files)
+
     from torchbrdf.experiment.items import list_items
     from torchbrdf.files import destination, writable, write_json
     from torchbrdf.measured import check

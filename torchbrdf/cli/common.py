@@ -1,16 +1,20 @@
 """What the commands share."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from torchbrdf import bounds, memory
 from torchbrdf.errors import LONGEST_MESSAGE, DataError, UsageError, one_line, printable, shown
+from torchbrdf.kinds import BANDS, check_word
 
 if TYPE_CHECKING:
     from torchbrdf.measured import Measured
 
+# What names of the zoo begin with, which are no files; `lobes.zoo` has them, and is not imported for this.
+ZOO = "zoo:"
 Options = argparse.Namespace
 Commands = Any
 """What argparse adds commands to; its type has no public name."""
@@ -102,15 +106,36 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_bands(parser: argparse.ArgumentParser) -> None:
+    """The option for what becomes of bands of wavelengths."""
+    said = "bands of wavelengths: rgb (default), made linear RGB by the CIE 1931 observer; keep, as they are"
+    parser.add_argument("--bands", default="rgb", help=said)
+
+
 def read_settings(options: Options) -> dict[str, str]:
-    """What `--read` says, by name."""
+    """What `--read` and `--bands` say, by name."""
     found = {}
     for text in options.read:
         name, mark, value = text.partition("=")
         if not mark:
             raise UsageError(f"--read: expected NAME=VALUE, found {shown(text)}")
+        if name == "bands":
+            raise UsageError("--read: expected angles, illuminant or quantity, found bands: fit and info have --bands")
         found[name] = value
-    return found
+    bands = getattr(options, "bands", BANDS[0])
+    check_word("--bands", bands, BANDS)
+    return found if bands == BANDS[0] else {**found, "bands": bands}
+
+
+def check_files(files: Sequence[str]) -> None:
+    """Refuse files of which none is there, before torch is imported; what is wrong with some is said later.
+
+    Raises:
+        DataError: Names the first.
+    """
+    if files and not any(file.startswith(ZOO) or os.path.lexists(file) for file in files):
+        rest = f", nor any of {len(files) - 1} others" if len(files) > 1 else ""
+        raise DataError(f"{shown(files[0])[1:-1] or 'an empty path'}: no such file or folder{rest}")
 
 
 def load_files(files: Sequence[str], settings: dict[str, str] | None = None) -> tuple[list["Measured"], bool]:

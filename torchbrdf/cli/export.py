@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, described, read_settings, say
+from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, check_files, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS, check_model
 
@@ -55,6 +55,7 @@ def command(options: Options) -> int:
     EXPORTERS.check(options.to)
     if options.model is not None:
         check_model(options.model)
+    check_files(options.files)
 
     from torchbrdf.errors import TorchbrdfError
     from torchbrdf.export.api import find_exporter, refuse_matches, write

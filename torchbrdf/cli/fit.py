@@ -7,8 +7,10 @@ from torchbrdf.bounds import SEEDS
 from torchbrdf.cli.common import (
     Commands,
     Options,
+    add_bands,
     add_memory,
     add_reading,
+    check_files,
     described,
     load_files,
     number,
@@ -98,12 +100,15 @@ def add(commands: Commands) -> None:
     )
     add_memory(parser)
     add_reading(parser)
+    add_bands(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
     _check_names(options)
+    settings = read_settings(options)
+    check_files(options.files)
 
     from torchbrdf.experiment.discrimination import shares_of_fits
     from torchbrdf.experiment.labels import difference_label, diffuse_label
@@ -122,7 +127,7 @@ def command(options: Options) -> int:
             destination(out / name)
         if (out / FITS).exists():
             read_fits(out / FITS)
-    groups, complete = load_files(options.files, read_settings(options))
+    groups, complete = load_files(options.files, settings)
     if not groups:
         return 1
     batches = Batches(
@@ -210,5 +215,6 @@ def _notes(record: "FitRecord") -> list[str]:
     black = record.error == 0 and not any(record.parameters.get("diffuse", [1.0]))
     notes += ["all values are 0, which every model fits"] if black else []
     notes += [f"under {record.chosen}"] if record.chosen else []
+    notes += [f"an error as of the noise alone, {short(record.noise['error'])}"] if record.has_reached_noise else []
     notes += [f"{record.ties} other minim{'um' if record.ties == 1 else 'a'} within 1 %"] if record.ties else []
     return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])

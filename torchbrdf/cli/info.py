@@ -8,7 +8,17 @@ from collections.abc import Iterator
 from statistics import fmean
 from typing import Any
 
-from torchbrdf.cli.common import Commands, Options, add_reading, described, read_settings, say, short
+from torchbrdf.cli.common import (
+    Commands,
+    Options,
+    add_bands,
+    add_reading,
+    check_files,
+    described,
+    read_settings,
+    say,
+    short,
+)
 from torchbrdf.errors import DataError, UsageError
 
 # Of a picture made of characters, among facts.
@@ -34,12 +44,17 @@ def add(commands: Commands) -> None:
     parser.add_argument("--json", action="store_true", help="print what files hold as JSON, by path")
     parser.add_argument("--system", action="store_true", help="say what this machine offers: torch, CUDA, OpenGL, ...")
     add_reading(parser)
+    add_bands(parser)
     parser.set_defaults(command=command)
 
 
 def command(options: Options) -> int:
     """`torchbrdf info`."""
     from torchbrdf.files import json_text
+
+    settings = read_settings(options)
+    if not (options.system or options.zoo):
+        check_files(options.files)
     from torchbrdf.measured import describe
     from torchbrdf.measured.load import find_files
 
@@ -56,7 +71,7 @@ def command(options: Options) -> int:
     found: dict[str, object] = {}
     for k, path in enumerate(files):
         try:
-            facts = describe(path, read_settings(options))
+            facts = describe(path, settings)
         except DataError as error:
             bad.append(error)
             continue

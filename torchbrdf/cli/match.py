@@ -2,7 +2,7 @@
 
 import sys
 
-from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, described, read_settings, say
+from torchbrdf.cli.common import Commands, Options, add_memory, add_reading, check_files, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS
 
@@ -52,6 +52,7 @@ def command(options: Options) -> int:
     from torchbrdf.experiment.matching.candidates import find_budget
 
     find_budget(options.budget)
+    check_files(options.files)
 
     from torchbrdf.errors import TorchbrdfError
     from torchbrdf.report.match import PAGE, match

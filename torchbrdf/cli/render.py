@@ -6,6 +6,7 @@ from torchbrdf.cli.common import (
     add_backend,
     add_memory,
     add_reading,
+    check_files,
     described,
     load_files,
     number,
@@ -57,6 +58,7 @@ def command(options: Options) -> int:
     check_word("backend", options.backend, BACKENDS)
     if options.environment == "none" and not options.lamp:
         raise UsageError("render: expected an environment or a lamp, found neither")
+    check_files(options.files)
 
     from torchbrdf.files import destination, writable
     from torchbrdf.render import Camera, Environment, Scene, find_mesh, parse_light

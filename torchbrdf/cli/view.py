@@ -8,6 +8,7 @@ from torchbrdf.cli.common import (
     add_backend,
     add_memory,
     add_reading,
+    check_files,
     described,
     load_files,
     read_settings,
@@ -54,6 +55,7 @@ def command(options: Options) -> int:
     check_word("backend", options.backend, BACKENDS)
     if "none" in options.environment:
         raise UsageError("view: expected light probes, found none; without light a picture is black")
+    check_files(options.files)
 
     from torchbrdf.files import writable_file
     from torchbrdf.measured.load import number_repeats

@@ -11,9 +11,9 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.files import write_csv, write_json
 from torchbrdf.images import DIFFERENCES
-from torchbrdf.lobes import FitRecord, model_of
+from torchbrdf.lobes import FitRecord
 from torchbrdf.losses import LOSSES, Loss, make_loss
-from torchbrdf.measured import Measured, load, standins
+from torchbrdf.measured import Measured, StandIn, load, standins
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import FORMULAS, BenchmarkData, Distances, find_metric, uniform_pairs
 from torchbrdf.perception.discrimination.calibration import (
@@ -134,11 +134,11 @@ def shares_of_fits(groups: list[Measured], records: list[FitRecord]) -> list[Sha
 def _share(
     known: Discrimination | JustObjectionable, loss: Loss, material: Measured, record: FitRecord, pairs: Pairs
 ) -> Share | None:
-    if not math.isfinite(record.error):
+    if not math.isfinite(record.error) or not material.has_colors:
         return None
     with torch.no_grad():
-        fitted = model_of([record], torch.float32)(pairs)
-        distance = loss(fitted, material.at(pairs).to(fitted), pairs).item()
+        fitted = Measured(StandIn([record], [])).at(pairs)  # as linear RGB, as people see it
+        distance = loss(fitted, material.to_rgb().at(pairs).to(fitted), pairs).item()
     return known.share(distance) if 0 <= distance < torch.inf else None
 
 

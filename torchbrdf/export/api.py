@@ -2,19 +2,23 @@
 
 import copy
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
+from torchbrdf.export.bands import in_rgb
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
 from torchbrdf.export.tables import reach
 from torchbrdf.files import writable
-from torchbrdf.lobes import FitRecord, Lobe, from_parameters, read_fits
+from torchbrdf.lobes import FitRecord, Lobe, read_fits
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, outside_bounds
 from torchbrdf.measured import Measured, StandIn, load
-from torchbrdf.measured.load import find_files, format_of
+from torchbrdf.measured.bands import DEFAULT_ILLUMINANT
+from torchbrdf.measured.load import check_settings, find_files, format_of
+from torchbrdf.measured.tables import check_rgb
 from torchbrdf.names import check_name, clean_name
 from torchbrdf.render import Mesh, find_mesh
 
@@ -31,6 +35,7 @@ def export(
     *,
     name: str | None = None,
     mesh: Mesh | str | os.PathLike[str] | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> Exported:
     """Write a BRDF as a material of a renderer.
 
@@ -42,6 +47,8 @@ def export(
         name: Of the material and its files; by default that of the record or the measurement.
         mesh: The object that wears the material, where an object is written, too ("gltf"): a mesh, "blob", "sphere", or
             a file.
+        settings: What a file does not say and its reader is to take, as of `torchbrdf.load`; of a fit in bands also the
+            `illuminant` under which it becomes linear RGB.
 
     Returns:
         The files, whether they are exact, notes on what was refitted or written as a table, and the BRDF that will be
@@ -61,7 +68,7 @@ def export(
         (['chalk.xml'], True)
     """
     exporter = find_exporter(to, find_mesh(os.fspath(mesh)) if isinstance(mesh, str | os.PathLike) else mesh)
-    material = material_of(brdf, name)
+    material = material_of(brdf, name, settings)
     refuse_matches(exporter, material, out)
     return write(exporter, material, out)
 
@@ -107,7 +114,8 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
                 raise DataError(f"{path}: expected another folder or name, found the file that is exported")
     with torch.no_grad():
         done = _written(exporter, material, folder)
-    return done if done.exact else replace(done, notes=[*done.notes, *reach(material.brdf)])
+    rest = [] if done.exact else reach(material.brdf)
+    return replace(done, notes=[*material.notes, *done.notes, *rest])
 
 
 def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
@@ -127,23 +135,28 @@ def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
     return done
 
 
-def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | None = None) -> Material:
+def material_of(
+    brdf: Brdf | FitRecord | str | os.PathLike[str],
+    name: str | None = None,
+    settings: Mapping[str, str] | None = None,
+) -> Material:
     """One material of whatever `export` takes.
 
     Args:
         brdf: As for `export`.
         name: Of the material; by default its own.
+        settings: As for `export`.
 
     Raises:
         UsageError: It is none of what can be exported, or several materials.
         DataError: A file cannot be read, the name is none, or a parameter lies outside its bounds.
     """
     if isinstance(brdf, str | os.PathLike):
-        return _of_file(Path(brdf) if os.fspath(brdf) else brdf, name)
+        return _of_file(Path(brdf) if os.fspath(brdf) else brdf, name, settings)
     if isinstance(brdf, FitRecord):
         own = brdf.material if name is None else check_name(name, "export: name")
-        model = from_parameters(brdf.model, brdf.parameters)
-        return Material(own, _checked(model, own))
+        shown_as, notes = in_rgb(brdf, (settings or {}).get("illuminant", DEFAULT_ILLUMINANT))
+        return Material(own, _checked(shown_as, own) if isinstance(shown_as, Lobe) else shown_as, tuple(notes))
     if isinstance(brdf, Measured):
         if len(brdf) != 1:
             raise UsageError(
@@ -151,24 +164,28 @@ def material_of(brdf: Brdf | FitRecord | str | os.PathLike[str], name: str | Non
             )
         if isinstance(brdf.source, StandIn):  # a model in a measurement's place
             own = brdf.names[0] if name is None else name
-            return material_of(brdf.source.records[brdf.materials[0]], clean_name(own) if name is None else own)
+            record = brdf.source.records[brdf.materials[0]]
+            return material_of(record, clean_name(own) if name is None else own, brdf.source.told)
+        brdf.check_rgb("export")
         return Material(clean_name(brdf.names[0]) if name is None else name, brdf.to("cpu"))
     if isinstance(brdf, Lobe):
         own = NAMELESS if name is None else check_name(name, "export: name")
+        check_rgb(brdf, own)
         return Material(own, _checked(copy.deepcopy(brdf).cpu(), own))
     raise UsageError(f"export: expected a lobe, a Measured, a FitRecord or a path, found {shown(brdf)}")
 
 
-def _of_file(path: str | os.PathLike[str], name: str | None) -> Material:
+def _of_file(path: str | os.PathLike[str], name: str | None, settings: Mapping[str, str] | None) -> Material:
     """The only material of a measured file, or of a `fits.json`."""
     (file, *more) = find_files(path)
     if not more and format_of(file) == StandIn.format:
+        check_settings([StandIn.format], settings)
         records = read_fits(file)
         if len(records) == 1:
-            return material_of(records[0], name)
+            return material_of(records[0], name, settings)
         found = f"{len(records)} fits"
     elif not more:
-        measured = load(file)
+        measured = load(file, settings=settings)
         if len(measured) == 1:
             return material_of(measured, name)
         found = f"{len(measured)} materials"

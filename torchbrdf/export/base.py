@@ -31,6 +31,7 @@ class Material:
     Args:
         name: Of the material.
         brdf: A lobe or a sum of them, not batched, with parameters within their bounds; or one measured material.
+        notes: What was made of it before, one line each.
 
     Raises:
         DataError: The name is none.
@@ -44,6 +45,7 @@ class Material:
 
     name: str
     brdf: Brdf
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, "export: name")

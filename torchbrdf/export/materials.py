@@ -62,7 +62,7 @@ def find_materials(
     choice = dict(zip(CHOICES, (material, model, loss), strict=True))
     chosen = [record for record in records if all(want in (None, getattr(record, key)) for key, want in choice.items())]
     found = [
-        *_fits(chosen, bad),
+        *_fits(chosen, bad, settings),
         *(_tables(measured, material, bad, settings) if model is None and loss is None else ()),
     ]
     if not found and not bad and (records or measured):
@@ -70,13 +70,15 @@ def find_materials(
     return found
 
 
-def _fits(records: Sequence[FitRecord], bad: list[TorchbrdfError]) -> Iterator[Material]:
+def _fits(
+    records: Sequence[FitRecord], bad: list[TorchbrdfError], settings: Mapping[str, str] | None
+) -> Iterator[Material]:
     names = [record.material for record in records]
     for record in records:
         many = names.count(record.material) > 1
         name = "-".join([record.material, record.model, str(record.lobes), record.loss]) if many else record.material
         try:
-            yield material_of(record, name.rstrip("-"))
+            yield material_of(record, name.rstrip("-"), settings)
         except TorchbrdfError as error:
             bad.append(error)
 

@@ -22,6 +22,7 @@ from torchbrdf.fitting.intervals import (
     find_intervals,
     joined_intervals,
 )
+from torchbrdf.fitting.noise import noise_records
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
@@ -31,6 +32,7 @@ from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joi
 from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics, without_idle_weight
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
+from torchbrdf.lobes.in_bands import with_channels
 from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
@@ -80,7 +82,8 @@ def fit(
     Args:
         model: a sum of lobes with or without a diffuse one; the parameters that it holds, `(k,)` for all materials or
             `(M, k)` for each, are where the fit starts. It is not changed.
-        measured: M materials.
+        measured: M materials, in linear RGB or in bands; of bands the model gets as many channels, and luminance is by
+            their wavelengths.
         loss: a `Loss`; or any module or function of (prediction, target), as `FunctionLoss` takes it. One without
             derivatives of its own is differentiated by autograd, with a `SlowFitWarning`.
         strategy: a registered one, or one with other options, `GlobalSearch(starts=12)`; "global" finds the best fit,
@@ -106,6 +109,7 @@ def fit(
 
     Raises:
         UsageError: for an option that does not exist, or without any material.
+        DataError: for bands under a loss of pictures.
         ShapeError: if all starts are outside their bounds, or the loss and the values do not fit together.
 
     Example:
@@ -135,6 +139,10 @@ def fit(
             SlowFitWarning,
             stacklevel=3,  # past the decorator
         )
+    if loss.needs_rgb:
+        measured.check_rgb(loss.registered_name)
+    model = with_channels(model, measured.channels)
+    loss = loss if measured.is_rgb else loss.with_luminance(measured.luminance_shares)
     measured = measured.within(max_theta).to(dtype=torch.float32 if measured.dtype in HALVES else measured.dtype)
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
@@ -184,6 +192,9 @@ def fit(
         scene=loss.scene_summary,
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
         intervals=joined_intervals([(one.values, one.intervals) for one in done]),
+        wavelengths=measured.wavelengths,
+        reading=[measured.source.reading(material) for material in measured.materials],
+        noise=noise_records(measured, loss, seed),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting.parameters import FreeParameter, Parametrization
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.in_bands import channels_of
 from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, get_parameters
 from torchbrdf.lobes.separable import coefficient_slopes, pattern
 from torchbrdf.pairs import Pairs
@@ -53,13 +54,13 @@ class _Part:
             self.moves_coefficients = any(self.names[name] in self.free for name in own.parameters)
 
     def coefficients(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
-        """A of this component, `(R, 3, J)`."""
+        """A of this component, `(R, C, J)`."""
         if self.color is not None:
-            return values[self.color].to(dtype).expand(-1, 3)[..., None]
-        return self.kind.coefficients(**self._own(values, dtype)).expand(-1, 3, -1)
+            return values[self.color].to(dtype).expand(-1, self.kind.channels)[..., None]
+        return self.kind.coefficients(**self._own(values, dtype)).expand(-1, self.kind.channels, -1)
 
     def coefficient_slopes(self, values: ParameterDict) -> dict[str, Tensor]:
-        """How they change with each parameter, by its full name, `(R, 3, J, size)`, float64."""
+        """How they change with each parameter, by its full name, `(R, C, J, size)`, float64."""
         found = coefficient_slopes(self.kind, self._own(values, torch.float64))
         return {self.names[name]: slope for name, slope in found.items()}
 
@@ -95,6 +96,7 @@ class Basis:
     def __init__(self, parametrization: Parametrization) -> None:
         model, self.free = parametrization.model, parametrization.free
         free_names = {name for one in self.free for name in one.names}
+        self.channels = channels_of(model)
         names = component_names(model)
         parts = []
         for k in parametrization.components:
@@ -108,7 +110,7 @@ class Basis:
         self.used = len(self.slopes) + sum(part.terms for part in self.parts if part.moves_coefficients)
 
     def albedos(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
-        """The coefficients of each term, `(R, 3, terms)`."""
+        """The coefficients of each term, `(R, C, terms)`."""
         return torch.cat([part.coefficients(values, dtype) for part in self.parts], 2)
 
     def responses(self, pairs: Pairs, values: ParameterDict, dtype: torch.dtype) -> list[Tensor]:
@@ -121,11 +123,11 @@ class Basis:
         return torch.stack([one.expand(problems, -1) for one in self.responses(pairs, values, dtype)], 1)
 
     def predict(self, albedos: Tensor, responses: Tensor) -> Tensor:
-        """Values of all components, `(R, 3, N)`, from stacked responses."""
+        """Values of all components, `(R, C, N)`, from stacked responses."""
         return torch.bmm(albedos, responses[:, len(self.slopes) :])
 
     def jacobian(self, values: ParameterDict, albedos: Tensor) -> Tensor:
-        """How the used responses make up the derivative of each channel by each of P free numbers, `(R, 3, Q, P)`."""
+        """How the used responses make up the derivative of each channel by each of P free numbers, `(R, C, Q, P)`."""
         found = self._constant.to(albedos).repeat(len(albedos), 1, 1, 1)
         for names, rows, columns, terms in self._of_scalars:
             slope = albedos[:, :, terms]
@@ -139,13 +141,14 @@ class Basis:
 
     @cached_property
     def _constant(self) -> Tensor:
-        """What of the jacobian is always the same, as values are linear in colours, `(1, 3, Q, P)`."""
-        found = torch.zeros(1, 3, self.used, sum(one.width for one in self.free), dtype=torch.float64, device="cpu")
+        """What of the jacobian is always the same, as values are linear in colours, `(1, C, Q, P)`."""
+        size = self.used, sum(one.width for one in self.free)
+        found = torch.zeros(1, self.channels, *size, dtype=torch.float64, device="cpu")
         for part, first in zip(self.parts, self._first_terms, strict=True):
             for name, one, columns in self._columns:
                 if part.color is not None and name == part.color:
-                    for channel in range(3):
-                        column = columns.start + (channel if one.width == 3 else 0)
+                    for channel in range(self.channels):
+                        column = columns.start + (channel if one.width > 1 else 0)
                         found[:, channel, len(self.slopes) + first, column] = 1
         return found
 
@@ -194,8 +197,8 @@ class Basis:
             rate = rate.expand(-1, one.spec.size)
             for j in range(part.terms):
                 if (name, j) in self._rows:
-                    own_number = j if one.spec.size == 3 else 0  # a number a channel: term j takes the j-th
-                    column = columns.start + (own_number if one.width == 3 else 0)
+                    own_number = j if one.spec.per_channel else 0  # a number a channel: term j takes the j-th
+                    column = columns.start + (own_number if one.width > 1 else 0)
                     found[:, :, self._rows[name, j], column] += albedos[:, :, first + j] * rate[:, own_number, None]
             if name in changes:
                 slope = changes[name] * rate[:, None, None]
@@ -203,7 +206,7 @@ class Basis:
 
 
 def predictor(model: Lobe) -> Callable[[Pairs], Tensor]:
-    """A function that gives a model's values on pairs, `(M, 3, N)`: channel by channel where that is faster."""
+    """A function that gives a model's values on pairs, `(M, C, N)`: channel by channel where that is faster."""
     if not is_separable(model):
         return lambda pairs: model(pairs).mT
     basis, values = Basis(Parametrization(model, [])), get_parameters(model)

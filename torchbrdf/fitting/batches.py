@@ -18,6 +18,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord, Lobe, model_name, read_fits, write_fits
 from torchbrdf.losses import LOSSES, Loss, as_loss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.bands import bands_in_words
 from torchbrdf.progress import Progress, part_of, quiet
 from torchbrdf.solvers import Status
 
@@ -100,6 +101,7 @@ class Batches:
         found: list[FitRecord] = []
         before = self.done
         for group in groups:
+            self._check_bands(group)
             left = [k for k, name in enumerate(group.names) if name not in before]
             done = len(found) + len(group) - len(left)
             progress(done, len(names))
@@ -115,6 +117,15 @@ class Batches:
             found += [made[k] if k in made else before[name] for k, name in enumerate(group.names)]
         self._add([])
         return found
+
+    def _check_bands(self, group: Measured) -> None:
+        """Refuse fits of before that are of other bands."""
+        for record in (self.stored[name] for name in group.names if name in self.stored):
+            lengths = None if record.wavelengths is None else tuple(record.wavelengths)
+            if (record.channels, lengths) != (group.channels, group.wavelengths):
+                had, now = bands_in_words(record.channels, lengths), bands_in_words(group.channels, group.wavelengths)
+                where = f"{self.out}/fits.json: {record.material}"
+                raise DataError(f"{where} was fitted in {had}, not {now}; give another folder")
 
     def _add(self, records: list[FitRecord]) -> None:
         """Write records beside what the folder holds by now: other processes may have added theirs."""

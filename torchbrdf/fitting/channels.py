@@ -1,4 +1,4 @@
-"""Losses with channels before pairs: values `(M, 3, N)`, as objectives have them; losses have `(M, N, 3)`."""
+"""Losses with channels before pairs: values `(M, C, N)`, as objectives have them; losses have `(M, N, C)`."""
 
 from torch import Tensor
 
@@ -18,6 +18,6 @@ def encode_with_derivative(loss: Loss, values: Tensor, pairs: Pairs) -> tuple[Te
 
 
 def effective_weight(loss: Loss, pairs: Pairs, weight: Tensor | None) -> Tensor | None:
-    """`Loss.effective_weight` of a problem's weight `(M|1, N, 1|3)`, `(M|1, 1|3, N)`."""
+    """`Loss.effective_weight` of a problem's weight `(M|1, N, 1|C)`, `(M|1, 1|C, N)`."""
     found = loss.effective_weight(pairs, weight)
     return None if found is None else found.mT

@@ -139,7 +139,7 @@ def from_unit(spec: BoundedParameter, place: Tensor) -> Tensor:
 
 
 def _weight(objective: GaussNewtonObjective) -> Tensor:
-    """The weight of a squared difference of values (or observations) that stands in for the loss, `(M|1, 3|1, P)`.
+    """The weight of a squared difference of values (or observations) that stands in for the loss, `(M|1, C|1, P)`.
 
     It is the curvature of the loss for predictions that are off by a quarter and a little of the mean.
     """
@@ -152,9 +152,9 @@ def _weight(objective: GaussNewtonObjective) -> Tensor:
 def _search(
     gram: Tensor, right: Tensor, limits: Tensor, dictionaries: list[LobeDictionary], base: int, beam: int
 ) -> tuple[Tensor, Tensor]:
-    """Combinations of shapes, the best first, `(M, C, lobes)`, and their factors, `(M, C, 3, q)`.
+    """Combinations of shapes, the best first, `(M, S, lobes)`, and their factors, `(M, S, C, q)`.
 
-    gram: `(M|1, 3|1, Q, Q)`; right: `(M, 3, Q)`; limits: of the factors, `(2, Q)`; the first `base` columns
+    gram: `(M|1, C|1, Q, Q)`; right: `(M, C, Q)`; limits: of the factors, `(2, Q)`; the first `base` columns
     are in every combination.
     """
     picked = torch.zeros(len(right), 1, 0, dtype=torch.long, device=right.device)
@@ -175,12 +175,13 @@ def _search(
 def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
     """The best factors of combinations of columns, within their limits, and their errors.
 
-    used: `(M, C, q)`; the factors: for each channel, `(M, 3, C, q)`; the errors, but for a constant: `(M, C)`.
+    used: `(M, S, q)`; the factors: for each channel, `(M, C, S, q)`; the errors, but for a constant: `(M, S)`.
     """
     materials, _, size = used.shape
-    gram = gram.expand(materials, 3, -1, -1)
+    channels = right.shape[1]
+    gram = gram.expand(materials, channels, -1, -1)
     m = torch.arange(materials, dtype=torch.int64, device=used.device)[:, None, None]
-    c = torch.arange(3, dtype=torch.int64, device=used.device)[:, None]
+    c = torch.arange(channels, dtype=torch.int64, device=used.device)[:, None]
     index = used[:, None]
     matrix = gram[m[..., None, None], c[..., None, None], index[..., :, None], index[..., None, :]]
     slope = right[m[..., None], c[..., None], index]
@@ -195,7 +196,7 @@ def _factors(gram: Tensor, right: Tensor, limits: Tensor, used: Tensor) -> tuple
 
 
 def _take(values: Tensor, index: Tensor) -> Tensor:
-    """Entries of `(M, C, ...)` at an index `(M, c)`."""
+    """Entries of `(M, S, ...)` at an index `(M, s)`."""
     return values[torch.arange(len(index), dtype=torch.int64, device=index.device)[:, None], index]
 
 
@@ -213,14 +214,14 @@ def _suppress_neighbours(picked: Tensor, dictionaries: list[LobeDictionary], wan
 
 
 def _twins(picked: Tensor, dictionaries: list[LobeDictionary]) -> Tensor:
-    """Which combinations are of two equal lobes of one shape with one affine parameter, `(M, C)`."""
+    """Which combinations are of two equal lobes of one shape with one affine parameter, `(M, S)`."""
     if len(dictionaries) != 2 or dictionaries[0] is not dictionaries[1] or len(dictionaries[0].ends) != 2:
         return torch.zeros(picked.shape[:2], dtype=torch.bool, device=picked.device)
     return picked[..., 0] == picked[..., 1]
 
 
 def _twins_apart(parts: list[Tensor], twins: Tensor) -> list[Tensor]:
-    """Factors of two lobes where twins take an end of F0 each, `(M, S, 3, 2)`.
+    """Factors of two lobes where twins take an end of F0 each, `(M, S, C, 2)`.
 
     Together they have then an F0 of its own in each channel, as the dictionary has, which one lobe has not.
     """
@@ -239,7 +240,7 @@ def _starts(
     factor: Tensor,
     fit_diffuse: bool,
 ) -> ParameterDict:
-    """Parameters from shapes `(M, S, lobes)` and factors `(M, S, 3, q)`, starts after starts."""
+    """Parameters from shapes `(M, S, lobes)` and factors `(M, S, C, q)`, starts after starts."""
     starts, names = picked.shape[1], component_names(model)
     found = {key: value.repeat(starts, *[1] * (value.dim() - 1)) for key, value in values.items()}
 

@@ -43,8 +43,8 @@ class Layout:
         return found.movedim(-2, 0).contiguous()
 
     def parts(self, rows: int) -> Iterator[slice]:
-        """Blocks in parts, so small that arrays of three numbers for each of so many fits stay in the cache."""
+        """Blocks in parts, so small that arrays of a number for each of so many channels of fits stay in the cache."""
         numbers = WORK.get(self.device.type, WORK["cpu"])
-        step = max(1, numbers // (3 * rows * self.size))
+        step = max(1, numbers // (rows * self.size))
         for start in range(0, len(self.group), step):
             yield slice(start, min(start + step, len(self.group)))

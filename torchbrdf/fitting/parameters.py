@@ -87,7 +87,7 @@ def free_parameters(model: Lobe, components: Sequence[int], *, scalar_albedo: bo
 
 def colour_specs(kind: type[Lobe]) -> list[BoundedParameter]:
     """A lobe's colours: its albedos; of a lobe of several coloured terms, all parameters with a number a channel."""
-    colours = [spec for spec in kind.parameter_specs.values() if spec.shape == (3,)]
+    colours = [spec for spec in kind.parameter_specs.values() if spec.is_colour]
     return [spec for spec in colours if spec.linear or kind.has_terms()]
 
 
@@ -127,7 +127,7 @@ class Parametrization:
         return torch.cat([low for low, _ in both]), torch.cat([high for _, high in both])
 
     def predict(self, values: ParameterDict, pairs: Pairs) -> Tensor:
-        """What the present components add up to, `(M, N, 3)`, or `(M, N, 1)` where all are one number for all."""
+        """What the present components add up to, `(M, N, C)`, or `(M, N, 1)` where all are one number for all."""
         own = {short: values[full] for short, full in self._own_names.items()}
         found: Tensor = functional_call(self._present, own, (pairs,))
         return found

@@ -11,6 +11,7 @@ from torchbrdf.files import csv_text, write_text
 from torchbrdf.fitting.intervals import LEVEL, Intervals
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import FitRecord, Lobe, model_name, parameters, write_fits
+from torchbrdf.lobes.in_bands import channels_of
 from torchbrdf.lobes.parameter_dict import with_parameters
 from torchbrdf.solvers import Status
 
@@ -38,6 +39,9 @@ class FitResult:
         scene: What a rendered loss saw.
         chosen: Of each material, the loss whose fit was kept, where the strategy fits under several; else empty.
         intervals: 95 % intervals of the parameters by the method that gave them.
+        wavelengths: Of the bands that were fitted, nm; None of linear RGB, and where nobody knows them.
+        reading: Of each material, how its file was read.
+        noise: Of each material's samples, and the error that it alone makes.
         history: The stages.
 
     Example:
@@ -69,6 +73,9 @@ class FitResult:
     scene: str = ""
     chosen: list[str] = field(default_factory=list)
     intervals: dict[str, Intervals] = field(default_factory=dict)
+    wavelengths: tuple[float, ...] | None = None
+    reading: list[dict[str, Any]] = field(default_factory=list)
+    noise: list[dict[str, Any]] = field(default_factory=list)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
@@ -101,6 +108,10 @@ class FitResult:
                 chosen=self.chosen[k] if self.chosen else "",
                 diffuse=self.diffuse,
                 intervals=_plain_intervals(ends, k),
+                channels=channels_of(self.model),
+                wavelengths=None if self.wavelengths is None else list(self.wavelengths),
+                reading=self.reading[k] if self.reading else {},
+                noise=self.noise[k] if self.noise else {},
                 iterations=sum(stage.iterations[k] for stage in self.history),
             )
             for k, material in enumerate(self.names)
@@ -146,7 +157,7 @@ def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
         for name, spec in component.parameter_specs.items():
             label = name if component.is_material else f"{name}[{count}]"
             if is_diffuse:
-                label = "diffuse" if spec.shape == (3,) else f"diffuse_{name}"
+                label = "diffuse" if spec.is_colour else f"diffuse_{name}"
             close = 1e-6 * max(abs(spec.lower), abs(spec.upper))
             low, high = spec.lower + min(close, 1e-3 * abs(spec.lower)), spec.upper - close
             values = getattr(component, name)[material].flatten().tolist()

@@ -70,6 +70,11 @@ def cross_score(
         >>> cross_score(models, measured, [RMSLoss()]).shape
         torch.Size([1, 3, 1])
     """
+    for loss in losses:
+        if loss.needs_rgb:
+            measured.check_rgb(loss.registered_name)
+    if not measured.is_rgb:
+        losses = [loss.with_luminance(measured.luminance_shares) for loss in losses]
     from_sums = {} if gathered is None else _from_sums(models, losses, gathered)
     if from_sums:
         found = torch.empty(len(losses), len(models), len(measured), dtype=torch.float64, device="cpu")
@@ -126,7 +131,7 @@ def errors(models: Sequence[Lobe], problem: Problem, losses: Sequence[Loss]) -> 
         for k, loss in enumerate(losses):
             counted = channels.effective_weight(loss, own, None if weight is None else weight[:, part])
             full = torch.ones_like(wanted[:1, :1]) if counted is None else counted
-            totals[k] += full.expand(-1, 3, -1).sum((1, 2), dtype=torch.float64)
+            totals[k] += full.expand(-1, wanted.shape[1], -1).sum((1, 2), dtype=torch.float64)
             encoded = channels.encode(loss, wanted, own)
             for b, prediction in enumerate(predictions):
                 code = channels.encode(loss, prediction.expand_as(wanted), own)
@@ -154,7 +159,7 @@ def errors_seen(
 def _predictions(
     models: Sequence[Lobe], pairs: Pairs, materials: int
 ) -> Iterator[tuple[slice | Tensor, Pairs, list[Tensor]]]:
-    """Which pairs, these pairs, and each model's values there, `(M, 3, n)`; part after part."""
+    """Which pairs, these pairs, and each model's values there, `(M, C, n)`; part after part."""
     kinds = list(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
     groups = groups_of(pairs, LEAST_PAIRS) if kinds and all(factor_kinds(model) for model in models) else None
     if groups is None:
@@ -171,7 +176,7 @@ def _predictions(
 
 
 def _colors(model: Lobe, probes: dict[type[Lobe], Probes], dtype: torch.dtype) -> Tensor:
-    """What factors are multiplied by to make a model's values, `(G, M, 3, J)`."""
+    """What factors are multiplied by to make a model's values, `(G, M, C, J)`."""
     basis, values = Basis(Parametrization(model, [])), get_parameters(model)
     materials = len(next(iter(values.values())))
     responses = coefficients(basis, probes, values, materials)

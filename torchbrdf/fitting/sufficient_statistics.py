@@ -47,7 +47,7 @@ class SufficientStatistics:
         probes: P of each group, `(1, G P)`, float64, which tell all factors apart, for functions of any kind.
         at_probes: the factors there, `(G, J, P)`, float64 as all that follows.
         gram: sum w B B', `(M, G, J, J)`; w is the weight times the square of what the loss multiplies values by.
-        right: sum w t B, `(M, G, J, 3)`.
+        right: sum w t B, `(M, G, J, C)`.
         zero: sum w t^2 over all pairs and channels, `(M,)`.
         total: the sum of the weights, over channels, too, `(M,)`.
         counts: how many values count, `(M,)`.
@@ -175,14 +175,15 @@ def gather_statistics(
     factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
     probes, at_probes = kept(pairs, (Probes, *kinds), lambda: chosen_probes(kinds, pairs, groups))
     sums = [_Sums(problem, loss, layout, factors) for loss in losses]
-    for part in layout.parts(materials):
+    for part in layout.parts(materials * problem.target.shape[2]):
         sample = layout.sample[part]
         target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).permute(1, 0, 3, 2).double()
         for own in sums:
             own.add(part, target)
     known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
     counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
-    return [SufficientStatistics(*known, *own.totals(), 3 * counts.expand(materials)) for own in sums]
+    counts = problem.target.shape[2] * counts.expand(materials)
+    return [SufficientStatistics(*known, *own.totals(), counts) for own in sums]
 
 
 def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -> Tensor:
@@ -204,17 +205,17 @@ class _Sums:
         effective = channels.effective_weight(loss, pairs, problem.weight)
         counted = torch.ones_like(target[:1, :, :1].mT) if effective is None else effective
         counted = counted.expand(-1, -1, len(pairs))
-        self.total = 3 * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
+        self.total = target.shape[2] * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
         square = counted * rate.to(counted).square()
         self.counted = layout.spread(square[:, 0]) * layout.real[:, None]
         self.zero = torch.zeros(len(target), dtype=torch.float64, device=target.device)
         count = factors.shape[1]
         shape = (len(layout.groups), len(self.counted[0]), count)
         self.gram = self.zero.new_zeros(*shape, count)
-        self.right = self.zero.new_zeros(len(layout.groups), len(target), count, 3)
+        self.right = self.zero.new_zeros(len(layout.groups), len(target), count, target.shape[2])
 
     def add(self, part: slice, target: Tensor) -> None:
-        """Some blocks; target: `(b, M, 3, size)`, float64."""
+        """Some blocks; target: `(b, M, C, size)`, float64."""
         counted, factors, group = self.counted[part].double(), self.factors[part].double(), self.layout.group[part]
         weighted = target * counted[:, :, None]
         right = torch.bmm(weighted.flatten(1, 2), factors.mT).unflatten(1, target.shape[1:3])

@@ -157,8 +157,9 @@ class TabulatedFit:
             )
             x, iterations = found.x, iterations + found.iterations
         x = seen.decode(x) if isinstance(seen, Falling) else x
-        status = [max(found.status[3 * k : 3 * k + 3], key=SEVERITY.index) for k in range(len(task))]
-        most = iterations.unflatten(0, (-1, 3)).amax(1)
+        count = problem.channels
+        status = [max(found.status[count * k : count * (k + 1)], key=SEVERITY.index) for k in range(len(task))]
+        most = iterations.unflatten(0, (-1, count)).amax(1)
         return (
             f"all tables, {objective.describe_size()}",
             decoded(problem, x, values),

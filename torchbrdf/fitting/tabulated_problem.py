@@ -35,8 +35,8 @@ QUANTITIES = ("cos_i", "cos_o", "cos_h", "cos_d", "theta_h", "theta_d", "tan2_h"
 
 def is_tabulated(model: Lobe) -> bool:
     """Whether every specular lobe is tabulated, beside Lambert's term or none."""
-    diffuse = [type(part) for part in model.components() if part.is_diffuse]
-    specular = [type(part) for part in model.components() if not part.is_diffuse]
+    diffuse = [type(part).in_rgb for part in model.components() if part.is_diffuse]
+    specular = [type(part).in_rgb for part in model.components() if not part.is_diffuse]
     return bool(specular) and {*specular} == {DistributionBased} and diffuse in ([], [Lambert])
 
 
@@ -90,9 +90,9 @@ class Blocks:
         """The pairs of some blocks."""
         return slice(part.start * self.block, part.stop * self.block)
 
-    def spread(self, values: Tensor) -> Tensor:
+    def spread(self, values: Tensor, channels: int) -> Tensor:
         """Values of each channel of the pairs, `(c, N)`, in the order of the blocks."""
-        place = self.sample if len(self.sample) == 1 else self.sample.repeat_interleave(3, 0)
+        place = self.sample if len(self.sample) == 1 else self.sample.repeat_interleave(channels, 0)
         return values.gather(1, place.expand(len(values), -1)) if len(values) > 1 else values[0][place]
 
 
@@ -102,7 +102,7 @@ def _before(count: Tensor) -> Tensor:
 
 
 class TabulatedProblem:
-    """All channels of M materials under a loss of single values, 3 M problems for a solver, material after material.
+    """All channels of M materials under a loss of single values, C M problems for a solver, material after material.
 
     The variables, P: the diffuse albedo, if it is fitted; then for every lobe the logarithms of D and of the table of
     F. Values are in units of what a prediction of 0 has, the mean of a material's channels, and have the roughness of
@@ -121,6 +121,7 @@ class TabulatedProblem:
         self, model: Lobe, values: ParameterDict, problem: Problem, loss: Loss, *, fit_diffuse: bool, smooth: float
     ) -> None:
         self.loss, self.problem, self.values = loss, problem, values
+        self.channels = problem.target.shape[2]
         names = component_names(model)
         diffuse = [own["albedo"] for own, part in zip(names, model.components(), strict=True) if part.is_diffuse]
         self.lobes = [own for own, part in zip(names, model.components(), strict=True) if not part.is_diffuse]
@@ -129,28 +130,28 @@ class TabulatedProblem:
         self.size = self.base + len(self.lobes) * TABLES
         self.blocks = Blocks.of(problem.pairs, loss.needs)
         self.geometry = torch.where(self.blocks.pairs.above_horizon, v_groove(self.blocks.pairs) / 4, 0)
-        self.target = self.blocks.spread(problem.target.mT.flatten(0, 1))
+        self.target = self.blocks.spread(problem.target.mT.flatten(0, 1), self.channels)
         self.weight = self._weights()
         self.penalties = self._penalties(smooth).to(self.target.device)
         self._encode()
         self.width: Tensor | None = None
-        """Over which a cusp of the loss is rounded, `(3 M,)`."""
+        """Over which a cusp of the loss is rounded, `(C M,)`."""
 
     def __len__(self) -> int:
         return len(self.target)
 
     def _weights(self) -> Tensor:
-        """The weight of each pair, `(3 M | 3 | 1, B * block)`, 0 of those that fill up."""
+        """The weight of each pair, `(C M | C | 1, B * block)`, 0 of those that fill up."""
         weight = channels.effective_weight(self.loss, self.problem.pairs, self.problem.weight)
         if weight is None:
             found = torch.ones_like(self.target[:1])
         else:
-            weight = weight.to(self.target).expand(len(weight), 3, self.problem.target.shape[1])
+            weight = weight.to(self.target).expand(len(weight), self.channels, self.problem.target.shape[1])
             weight = weight.expand(len(self.problem.target), -1, -1) if len(self.blocks.sample) > 1 else weight
-            found = self.blocks.spread(weight.flatten(0, 1))
-            found = found.repeat(len(self.problem.target), 1) if len(found) == 3 else found
+            found = self.blocks.spread(weight.flatten(0, 1), self.channels)
+            found = found.repeat(len(self.problem.target), 1) if len(found) == self.channels else found
         real = self.blocks.real
-        return torch.where(real if len(real) == 1 else real.repeat_interleave(3, 0), found, 0)
+        return torch.where(real if len(real) == 1 else real.repeat_interleave(self.channels, 0), found, 0)
 
     def _encode(self) -> None:
         """What is made of targets once: their codes, sums of weights, penalties of 0, and mean magnitudes."""
@@ -165,7 +166,7 @@ class TabulatedProblem:
             terms = weight, weight * self.loss.penalty(zero - code), weight * code.abs()
             sums += torch.stack([term.sum(1, dtype=torch.float64) for term in terms])
         total = torch.where(sums[0] > 0, sums[0], 1)
-        zero = (sums[1] / total).unflatten(0, (-1, 3)).mean(1).repeat_interleave(3)
+        zero = (sums[1] / total).unflatten(0, (-1, self.channels)).mean(1).repeat_interleave(self.channels)
         magnitude = sums[2] / total
         self.unit = torch.where(zero > 0, zero, 1)
         self.magnitude = torch.where(magnitude > 0, magnitude, 1)
@@ -181,7 +182,7 @@ class TabulatedProblem:
     def _pairs(self, part: slice, rows: Tensor) -> Pairs:
         """The pairs of some blocks, of each problem, `(1 | r, n)`."""
         pairs = self.blocks.pairs.select(samples=self.blocks.samples(part))
-        return pairs if pairs.shape[0] == 1 else pairs.select(rows // 3)
+        return pairs if pairs.shape[0] == 1 else pairs.select(rows // self.channels)
 
     def _penalties(self, smooth: float) -> Tensor:
         """The matrix of squared second differences, and of what F is at normal incidence, as its scale is D's."""
@@ -222,13 +223,14 @@ class TabulatedProblem:
         self.width = None
         value = sum(state.terms(part)[0].sum((1, 2), dtype=torch.float64) for part in self._parts(len(x)))
         self.width = width
-        total = (self.norm / self.unit).unflatten(0, (-1, 3)).sum(1)
-        return self.loss.finalize((value + torch.zeros_like(self.norm)).unflatten(0, (-1, 3)).sum(1) / total)
+        total = (self.norm / self.unit).unflatten(0, (-1, self.channels)).sum(1)
+        value = (value + torch.zeros_like(self.norm)).unflatten(0, (-1, self.channels)).sum(1)
+        return self.loss.finalize(value / total)
 
     def _cell(self, part: slice, rows: Tensor) -> Tensor:
         """The cell of some blocks, of each problem, `(1 | r, b)`."""
         cell = self.blocks.low_h[:, part] * (FRESNEL_NODES - 1) + self.blocks.low_d[:, part]
-        return cell if len(cell) == 1 else cell[rows // 3]
+        return cell if len(cell) == 1 else cell[rows // self.channels]
 
     @staticmethod
     def _assembled(values: Tensor, place: Tensor, size: int) -> Tensor:
@@ -247,7 +249,7 @@ class _State:
         self.problem, self.rows = problem, rows
         dtype = problem.target.dtype
         self.columns = problem.base + 4 * len(problem.lobes)
-        material, channel = rows // 3, rows % 3
+        material, channel = rows // problem.channels, rows % problem.channels
         if problem.base:
             self.albedo = x[:, 0].to(dtype)
         elif problem.albedo is not None:
@@ -287,7 +289,7 @@ class _State:
         samples, block = blocks.samples(part), blocks.block
 
         def own(x: Tensor) -> Tensor:
-            return x if len(x) == 1 else x[self.rows // 3]
+            return x if len(x) == 1 else x[self.rows // self.problem.channels]
 
         low_h, low_d = own(blocks.low_h[:, part]), own(blocks.low_d[:, part])
         share_h, share_d, geometry = (

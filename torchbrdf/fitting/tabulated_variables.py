@@ -24,7 +24,7 @@ LEAST = 1e-4
 
 
 def encoded(problem: TabulatedProblem, values: ParameterDict) -> Tensor:
-    """The variables of each problem where a fit starts, `(3 M, P)`, float64.
+    """The variables of each problem where a fit starts, `(C M, P)`, float64.
 
     From the parameters; where all tables still have their declared starts, read off the data.
     """
@@ -38,14 +38,15 @@ def encoded(problem: TabulatedProblem, values: ParameterDict) -> Tensor:
 
 
 def decoded(problem: TabulatedProblem, x: Tensor, values: ParameterDict) -> ParameterDict:
-    """The parameters that variables `(3 M, P)` stand for, and the held ones among `values`."""
+    """The parameters that variables `(C M, P)` stand for, and the held ones among `values`."""
     found = dict(values)
     if problem.base and problem.albedo is not None:
-        found[problem.albedo] = x[:, 0].unflatten(0, (-1, 3)).to(values[problem.albedo])
+        found[problem.albedo] = x[:, 0].unflatten(0, (-1, problem.channels)).to(values[problem.albedo])
     for own, tables in zip(problem.lobes, x[:, problem.base :].exp().split(TABLES, 1), strict=True):
         for name, table in zip(NAMES, tables.split([NODES, FRESNEL_NODES], 1), strict=True):
             spec = DistributionBased.parameter_specs[name]
-            found[own[name]] = table.unflatten(0, (-1, 3)).mT.to(values[own[name]]).clamp(spec.lower, spec.upper)
+            table = table.unflatten(0, (-1, problem.channels)).mT.to(values[own[name]])
+            found[own[name]] = table.clamp(spec.lower, spec.upper)
     return found
 
 
@@ -65,7 +66,7 @@ def read_off(problem: TabulatedProblem, values: ParameterDict) -> Tensor:
     weight, target, pairs = problem.weight.double(), problem.target.double(), problem.blocks.pairs
     weight = weight.repeat(len(target) // len(weight), 1)
     albedo = _darkest(target, weight) if problem.base else _albedo(problem, values)
-    row = torch.arange(len(target), dtype=torch.int64, device=target.device) // 3
+    row = torch.arange(len(target), dtype=torch.int64, device=target.device) // problem.channels
     geometry = problem.geometry * fresnel(values[problem.lobes[0]["f0"]], pairs)
     clear = torch.minimum(pairs.cos_i, pairs.cos_o) > CLEAR
     own = (x.expand(len(target), -1) if len(x) == 1 else x[row] for x in (geometry, clear, problem.blocks.nearest_h))
@@ -85,14 +86,14 @@ def read_off(problem: TabulatedProblem, values: ParameterDict) -> Tensor:
 
 
 def _albedo(problem: TabulatedProblem, values: ParameterDict) -> Tensor:
-    """The diffuse albedo of each problem, `(3 M,)`."""
+    """The diffuse albedo of each problem, `(C M,)`."""
     if problem.albedo is None:
         return torch.zeros(len(problem), dtype=torch.float64, device=problem.target.device)
     return values[problem.albedo].double().flatten()
 
 
 def _darkest(target: Tensor, weight: Tensor) -> Tensor:
-    """An albedo by the darkest valid values of each problem, `(3 M,)`."""
+    """An albedo by the darkest valid values of each problem, `(C M,)`."""
     every = max(1, target.shape[1] // ASKED)
     valid = torch.where(weight > 0, target, torch.inf)[:, ::every].sort(1).values
     count = valid.isfinite().sum(1, keepdim=True)

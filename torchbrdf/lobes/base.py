@@ -18,6 +18,8 @@ from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
 LOBES: Registry[type["Lobe"]] = _LOBES
+RGB = 3
+"""Channels of linear RGB."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -72,6 +74,10 @@ class Lobe(_Declared):
     """How `torchbrdf.fit` treats the diffuse albedo of a model with this lobe unless told; None: as the loss has it."""
     is_material: ClassVar[bool] = False
     """Whether it is a whole BRDF by itself, such as a renderer's material: a model of its own, with no other lobe."""
+    channels: ClassVar[int] = RGB
+    """How many channels values have: those of linear RGB, or bands, see `torchbrdf.lobes.in_bands`."""
+    in_rgb: ClassVar[type["Lobe"]]
+    """The kind with three channels; itself, if it has these."""
     scalars_of_terms: ClassVar[tuple[str, ...] | None] = None
     """The parameters that `terms` takes, in that order; None: all of one number."""
     function: ClassVar[Callable[..., Tensor]]
@@ -84,6 +90,8 @@ class Lobe(_Declared):
         super().__init_subclass__(**kwargs)
         own = {name: value for name, value in vars(cls).items() if isinstance(value, BoundedParameter)}
         cls.parameter_specs = {**cls.parameter_specs, **own}
+        if "in_rgb" not in vars(cls):
+            cls.in_rgb = cls
         if cls.has_terms() and not hasattr(cls, "function"):
             cls.function = staticmethod(value_of(cls))
         cls.__signature__ = _signature(cls)
@@ -111,7 +119,7 @@ class Lobe(_Declared):
         return ", ".join(f"{name}={_shown(getattr(self, name), spec)}" for name, spec in self.parameter_specs.items())
 
     def forward(self, pairs: Pairs) -> Tensor:
-        """Values on pairs, `(..., N, 3)`.
+        """Values on pairs, `(..., N, C)`, of which C is 3 but for bands.
 
         Raises:
             ShapeError: the leading dimensions of parameters and pairs do not broadcast, or the function gives no values
@@ -123,7 +131,7 @@ class Lobe(_Declared):
         except RuntimeError:
             check_leading(kind.__name__, {**self._leading(), "pairs": (*pairs.shape[:-1],)})
             raise
-        check_values(kind.__name__, found, pairs)
+        check_values(kind.__name__, found, pairs, kind.channels)
         return found
 
     def _leading(self) -> dict[str, tuple[int, ...]]:
@@ -146,8 +154,8 @@ class Lobe(_Declared):
         """The declaration of the albedo of a lobe that is one albedo times a scalar function of pairs and scalars.
 
         Returns:
-            The only linear parameter of the shape `(3,)` where all others are scalars; None of any other lobe, and of
-            one that declares `terms`.
+            The only linear parameter with one value a channel where all others are scalars; None of any other lobe, and
+            of one that declares `terms`.
 
         Example:
             >>> from torchbrdf.lobes import LowABC, ShiftedGamma
@@ -156,9 +164,9 @@ class Lobe(_Declared):
         """
         if cls.has_terms():
             return None
-        albedos = [spec for spec in cls.parameter_specs.values() if spec.linear and spec.shape == (3,)]
+        albedos = [spec for spec in cls.parameter_specs.values() if spec.linear and spec.is_colour]
         rest = [spec for spec in cls.parameter_specs.values() if spec not in albedos]
-        return albedos[0] if len(albedos) == 1 and all(spec.size == 1 for spec in rest) else None
+        return albedos[0] if len(albedos) == 1 and all(spec.is_scalar for spec in rest) else None
 
     @classmethod
     def scalars(cls) -> list["BoundedParameter"]:
@@ -247,7 +255,7 @@ class Lobe(_Declared):
         if not cls.has_terms():
             return cls.scalars()
         if cls.scalars_of_terms is None:
-            return [spec for spec in cls.parameter_specs.values() if spec.size == 1]
+            return [spec for spec in cls.parameter_specs.values() if spec.is_scalar]
         return [cls.parameter_specs[name] for name in cls.scalars_of_terms]
 
     @classmethod
@@ -344,7 +352,7 @@ class Lobe(_Declared):
             parameters: all of the lobe's by name, `(..., k)`; leading dimensions broadcast.
 
         Returns:
-            `(..., 3, J)`.
+            `(..., C, J)`; C is 1 where all channels have the same.
 
         Raises:
             UsageError: the lobe is no coefficients times terms.

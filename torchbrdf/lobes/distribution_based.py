@@ -81,7 +81,7 @@ def _rows(table: Tensor, index: Tensor) -> Tensor:
     if index.dim() == 1 or (index.dim() == 2 and index.shape[0] == 1):
         return table.index_select(-2, index.reshape(-1))
     lead = np.broadcast_shapes(table.shape[:-2], index.shape[:-1])
-    index = index.expand(*lead, -1)[..., None].expand(*lead, index.shape[-1], 3)
+    index = index.expand(*lead, -1)[..., None].expand(*lead, index.shape[-1], table.shape[-1])
     return table.expand(*lead, *table.shape[-2:]).gather(-2, index)
 
 

@@ -75,16 +75,17 @@ def check_signature(lobe: str, function: Function, names: Sequence[str]) -> None
         raise UsageError(f"{lobe}.function: expected ({expected}), as it is declared, found ({shown})")
 
 
-def check_values(lobe: str, found: object, pairs: Pairs) -> None:
-    """Refuse what is not values `(..., N, 3)`, or `(..., N, 1)` of parameters with one number for all channels.
+def check_values(lobe: str, found: object, pairs: Pairs, channels: int) -> None:
+    """Refuse what is not values `(..., N, C)`, or `(..., N, 1)` of parameters with one number for all C channels.
 
     Raises:
         ShapeError: it is of another shape, or no tensor.
     """
-    if isinstance(found, Tensor) and found.dim() > 1 and found.shape[-2] == len(pairs) and found.shape[-1] in (1, 3):
+    is_values = isinstance(found, Tensor) and found.dim() > 1
+    if is_values and found.shape[-2] == len(pairs) and found.shape[-1] in (1, channels):  # type: ignore[attr-defined]
         return
     shown = (*found.shape,) if isinstance(found, Tensor) else type(found).__name__
-    raise ShapeError(f"{lobe}.function: expected values (..., {len(pairs)}, 3), found {shown}")
+    raise ShapeError(f"{lobe}.function: expected values (..., {len(pairs)}, {channels}), found {shown}")
 
 
 def check_leading(lobe: str, shapes: dict[str, tuple[int, ...]]) -> None:

@@ -9,7 +9,8 @@ from torch import Tensor
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.kinds import JOIN as JOIN
 from torchbrdf.kinds import SHARE as SHARE
-from torchbrdf.lobes.base import LOBES, Lobe
+from torchbrdf.lobes.base import LOBES, RGB, Lobe
+from torchbrdf.lobes.in_bands import in_bands
 from torchbrdf.lobes.lambert import Lambert
 from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.lobes.sum import Sum, check_shared
@@ -111,7 +112,7 @@ def split_shared(name: str) -> tuple[str, tuple[str, ...]]:
     return joined, shared
 
 
-def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = None) -> Sum:
+def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = None, channels: int = RGB) -> Sum:
     """Make a model to fit: a diffuse term plus lobes, each parameter at its start (the paper's eq. 11).
 
     Args:
@@ -120,6 +121,7 @@ def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = 
             all specular lobes that have them follow a colon: "ggx:f0", "ggx+beckmann:f0,specular".
         lobes: how many specular lobes; None: two of one kind, or those that are named.
         dtype: of the parameters; torch's default if not given.
+        channels: of values: three of linear RGB, or as many as there are bands.
 
     Returns:
         The sum.
@@ -134,7 +136,7 @@ def make_model(name: str, lobes: int | None = None, dtype: torch.dtype | None = 
         >>> make_model("ggx:f0").shared
         ('f0',)
     """
-    kinds = component_kinds(name, lobes)
+    kinds = [in_bands(kind, channels) for kind in component_kinds(name, lobes)]
     return Sum(*(kind(dtype=dtype) for kind in kinds), shared=split_shared(name)[1])
 
 
@@ -155,7 +157,7 @@ def model_name(model: Lobe) -> tuple[str, int]:
         >>> model_name(make_model("ward", lobes=2)), model_name(make_model("ggx+ward"))
         (('ward', 2), ('ggx+ward', 2))
     """
-    kinds = [type(component) for component in model.components()]
+    kinds = [type(component).in_rgb for component in model.components()]
     first, *rest = kinds
     alone = first.is_material and not rest
     if not alone and (not first.is_diffuse or not rest or any(kind.is_diffuse or kind.is_material for kind in rest)):
@@ -205,7 +207,7 @@ def parameters(model: Lobe, material: int = 0) -> dict[str, Any]:
     return found
 
 
-def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | None = None) -> Sum:
+def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | None = None, channels: int = RGB) -> Sum:
     """Make the model that `parameters` describes. Values outside their bounds are kept as they are.
 
     Args:
@@ -213,6 +215,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
         values: `diffuse` and, for each parameter of its lobes, a list with one value a lobe; of a whole material its
             parameters.
         dtype: of the parameters; torch's default if not given.
+        channels: of values, as of `make_model`.
 
     Returns:
         The sum, not batched.
@@ -229,7 +232,7 @@ def from_parameters(name: str, values: Mapping[str, Any], dtype: torch.dtype | N
     """
     joined, shared = split_shared(name)
     where = f"parameters of {name}"
-    diffuse, *kinds = component_kinds(joined, None if JOIN in joined else 1)
+    diffuse, *kinds = (in_bands(kind, channels) for kind in component_kinds(joined, None if JOIN in joined else 1))
     dtype = dtype or torch.get_default_dtype()
     if diffuse.is_material:
         _check_names(values, diffuse.parameter_specs, where)
@@ -281,7 +284,7 @@ def _own_values(kind: type[Lobe], values: Mapping[str, Any], where: str) -> dict
     """The parameters of a lobe among those of all, where the others are None."""
     for key, value in values.items():
         if value is not None and key not in kind.parameter_specs:
-            raise DataError(f"{where}: {key}: expected null for {LOBES.name_of(kind)}, found {shown(value)}")
+            raise DataError(f"{where}: {key}: expected null for {LOBES.name_of(kind.in_rgb)}, found {shown(value)}")
     return {name: _numbers(values[name], spec, f"{where}: {name}") for name, spec in kind.parameter_specs.items()}
 
 
@@ -325,4 +328,4 @@ def _plain(component: Lobe, spec: BoundedParameter, material: int) -> Any:
     value: Tensor = getattr(component, spec.name).detach()
     if value.dim() > len(spec.shape):
         value = value[material]
-    return value.item() if spec.size == 1 else value.tolist()
+    return value.item() if spec.is_scalar else value.tolist()

@@ -27,11 +27,13 @@ class BoundedParameter:
         lower: the least value of a fit.
         upper: the largest value of a fit.
         doc: what it means, in a few words.
-        shape: `(1,)` for a scalar, `(3,)` for one value a channel.
+        shape: `(1,)` for a scalar, `(3,)` for one value a channel, of which there are three as long as nobody asks for
+            others.
         linear: the lobe's value is proportional to it, as to an albedo.
         affine: the lobe's value is a constant plus something proportional to it, as with Schlick's F0.
         log: solvers move it on a logarithmic scale, for a range of many decades.
         optional: files may lack it, as those of before it was there do; its start stands for it.
+        per_channel: the last of the shape's numbers counts channels; so it is wherever that is 3.
 
     Raises:
         UsageError: lower <= start <= upper does not hold, or lower is not above 0 on a logarithmic scale.
@@ -54,7 +56,11 @@ class BoundedParameter:
     affine: bool = False
     log: bool = False
     optional: bool = False
+    per_channel: bool = False
     name: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        self.per_channel = self.per_channel or self.shape[-1:] == (3,)
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -113,6 +119,16 @@ class BoundedParameter:
         except RuntimeError:
             expected = ", ".join(map(str, self.shape))
             raise ShapeError(f"{where}: expected (..., {expected}), found {(*tensor.shape,)}") from None
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether it is one value a channel."""
+        return self.per_channel and len(self.shape) == 1
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether it is one number for all channels."""
+        return self.size == 1 and not self.per_channel
 
     @property
     def size(self) -> int:

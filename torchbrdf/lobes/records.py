@@ -11,7 +11,7 @@ import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.files import write_json
-from torchbrdf.lobes.base import LOBES
+from torchbrdf.lobes.base import LOBES, RGB
 from torchbrdf.lobes.model import JOIN, SHARE, from_parameters, model_name
 from torchbrdf.lobes.parameter_dict import get_parameters, outside_bounds, with_parameters
 from torchbrdf.lobes.sum import Sum
@@ -33,6 +33,8 @@ TEXTS = {
     "loss": 200, "strategy": 2000, "chosen": 2000, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
     "at_bounds": 200,
 }  # fmt: skip
+REACHED = 1.2
+"""An error up to so many times that of the noise alone has reached it."""
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
 
@@ -69,6 +71,10 @@ class FitRecord:
         max_theta: Largest angle from the normal of the pairs that counted, in degrees.
         samples: How many pairs the solver saw; None: every one.
         seed: Of the subset.
+        channels: Of values: 3 of linear RGB, or as many as there are bands.
+        wavelengths: Of the bands, nm; None of linear RGB, and where nobody knows them.
+        reading: How the measurement's file was read: its format and name, what the reader was told, what was believed,
+            and what became of bands and colours.
         scene: What a rendered loss saw.
         chosen: The loss whose fit was kept, where the strategy fits under several.
         diffuse: `45:0`, where the diffuse albedo was measured and held, or `fit`.
@@ -79,6 +85,8 @@ class FitRecord:
             `parameters` has values; None where there is none: held, at a bound, or at no minimum.
         differences: Image differences of its picture by name.
         pictures: The same for each of several scenes.
+        noise: Of the measurement: its `share` of the value, `by` what it was told and from how many `samples`, and the
+            `error` of a fit that is off by nothing else.
         extra: What a file says besides, which is kept.
 
     Example:
@@ -107,6 +115,9 @@ class FitRecord:
     max_theta: float | None = None
     samples: int | None = None
     seed: int | None = None
+    channels: int = RGB
+    wavelengths: list[float] | None = None
+    reading: dict[str, Any] = field(default_factory=dict)
     scene: str = ""
     chosen: str = ""
     diffuse: str = ""
@@ -116,7 +127,14 @@ class FitRecord:
     intervals: dict[str, Any] = field(default_factory=dict)
     differences: dict[str, float] = field(default_factory=dict)
     pictures: dict[str, dict[str, float]] = field(default_factory=dict)
+    noise: dict[str, Any] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def has_reached_noise(self) -> bool:
+        """Whether the error is no more than that of the measurement's noise, or little more: `REACHED` times."""
+        alone = self.noise.get("error")
+        return isinstance(alone, int | float) and self.error <= REACHED * alone
 
     def to_json(self) -> dict[str, Any]:
         """The record by the keys of `fits.json`, in their order, without what is not known."""
@@ -126,8 +144,11 @@ class FitRecord:
                 found |= {name: text for name in ("scene", "chosen") if (text := getattr(self, name))}
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
+        found |= {
+            key: getattr(self, key) for key in ("channels", "wavelengths", "reading") if not _is_default(self, key)
+        }
         found["parameters"] = self.parameters
-        for key in ("intervals", "errors", "outlier", "differences", "pictures"):
+        for key in ("intervals", "errors", "outlier", "differences", "pictures", "noise"):
             if not _is_default(self, key):
                 found[key] = getattr(self, key)
         return found | self.extra
@@ -158,8 +179,29 @@ class FitRecord:
         record._check(where)
         return record
 
+    def to_model(self, dtype: torch.dtype | None = None) -> Sum:
+        """The model, of one material.
+
+        Args:
+            dtype: Of the parameters; torch's default if not given.
+
+        Raises:
+            DataError: Parameters are not those of the model that is named.
+            UsageError: There is no such model, or it has no such channels.
+
+        Example:
+            >>> from torchbrdf.measured import standins
+            >>> len(read_fits(standins())[7].to_model().components())
+            2
+        """
+        return from_parameters(self.model, self.parameters, dtype, self.channels)
+
     def _check(self, where: str) -> None:
         """A DataError if what is said cannot be."""
+        lengths = self.wavelengths
+        if lengths is not None and (len(lengths) != self.channels or not _grow(lengths)):
+            expected = f"expected {self.channels} growing numbers, in nm"
+            raise DataError(f"{where}: wavelengths: {expected}, found {shown(lengths)}")
         check_name(self.material, f"{where}: material")
         for key, longest in TEXTS.items():
             for text in [getattr(self, key)] if key != "at_bounds" else self.at_bounds:
@@ -171,7 +213,7 @@ class FitRecord:
         if unknown:
             raise DataError(f"{where}: model: expected one of {', '.join(LOBES)}, found {shown(unknown[0])}")
         try:
-            made = model_name(from_parameters(self.model, self.parameters))[1]
+            made = model_name(self.to_model())[1]
         except TorchbrdfError as error:
             raise DataError(f"{where}: {error}") from None
         if made != self.lobes:
@@ -202,9 +244,9 @@ def model_of(records: Sequence[FitRecord], dtype: torch.dtype | None = None) -> 
           )
         )
     """
-    models = [from_parameters(record.model, record.parameters, dtype) for record in records]
+    models = [record.to_model(dtype) for record in records]
     values = [get_parameters(model) for model in models]
-    kinds = [(record.model, len(own)) for record, own in zip(records, values, strict=True)]
+    kinds = [(record.model, len(own), record.channels) for record, own in zip(records, values, strict=True)]
     for record, kind in zip(records, kinds, strict=True):
         if kind != kinds[0]:
             raise DataError(f"{record.material}: expected lobes as {records[0].material} has, found {kind[0]}")
@@ -276,7 +318,7 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
 
 def _warn_outside(path: Path | str, records: Sequence[FitRecord]) -> None:
     """One line for a file with parameters outside their bounds."""
-    models = [from_parameters(record.model, record.parameters, torch.float64) for record in records]
+    models = [record.to_model(torch.float64) for record in records]
     outside = [
         (record.material, said) for record, model in zip(records, models, strict=True) for said in outside_bounds(model)
     ]
@@ -295,9 +337,9 @@ def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
 
     In either precision: a lobe that is far too narrow overflows in float32 only.
     """
-    kinds: dict[tuple[str, int], list[int]] = {}
+    kinds: dict[tuple[str, int, int], list[int]] = {}
     for k, record in records.items():
-        kinds.setdefault((record.model, record.lobes), []).append(k)
+        kinds.setdefault((record.model, record.lobes, record.channels), []).append(k)
     bad: set[int] = set()
     for rows in kinds.values():
         model = model_of([records[k] for k in rows], torch.float64)
@@ -311,7 +353,7 @@ def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
 
 def _why_not_finite(record: FitRecord) -> str:
     """What was expected and found: a parameter outside its bounds, where there is one, is what can be mended."""
-    outside = outside_bounds(from_parameters(record.model, record.parameters, torch.float64))
+    outside = outside_bounds(record.to_model(torch.float64))
     if outside:
         every = "; ".join(outside[:4])
         return f"expected them within their bounds, found {every}, with which values are not finite"
@@ -331,6 +373,11 @@ def _said(error: Exception) -> str:
     text, _, place = str(error).partition(" - at ")
     place = place.strip("`").removeprefix("$").removeprefix(".")
     return f"{place}: {text[:1].lower()}{text[1:]}" if place else text
+
+
+def _grow(lengths: Sequence[float]) -> bool:
+    """Whether they are wavelengths, each longer than the one before."""
+    return all(0 < one < other for one, other in zip(lengths, (*lengths[1:], math.inf), strict=True))
 
 
 def _with_nan(value: Any) -> Any:

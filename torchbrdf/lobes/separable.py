@@ -60,7 +60,7 @@ def coefficient_slopes(kind: "type[Lobe]", parameters: dict[str, Tensor]) -> dic
         parameters: all of them by name, `(R, size)` each.
 
     Returns:
-        By name the derivatives `(R, 3, J, size)`; none for a parameter that the coefficients do not know.
+        By name the derivatives `(R, C, J, size)`; none for a parameter that the coefficients do not know.
 
     Example:
         >>> import torch
@@ -70,7 +70,7 @@ def coefficient_slopes(kind: "type[Lobe]", parameters: dict[str, Tensor]) -> dic
         {'specular': torch.Size([4, 3, 1, 3])}
     """
     # One pass back for all: a copy of the parameters for each coefficient, which takes its derivatives.
-    shape = (3, pattern(kind).terms)
+    shape = (kind.channels, pattern(kind).terms)
     rows, copies = len(next(iter(parameters.values()))), math.prod(shape)
     with torch.inference_mode(False), torch.enable_grad():
         own = {
@@ -88,19 +88,18 @@ def columns(*coefficients: Tensor) -> Tensor:
     """Coefficients of terms side by side.
 
     Args:
-        coefficients: of each of J terms, `(..., 3)`, or `(..., 1)` where all channels have the same; leading
+        coefficients: of each of J terms, `(..., C)`, or `(..., 1)` where all channels have the same; leading
             dimensions broadcast.
 
     Returns:
-        `(..., 3, J)`.
+        `(..., C, J)`.
 
     Example:
         >>> import torch
         >>> columns(torch.rand(4, 3), torch.rand(4, 1)).shape
         torch.Size([4, 3, 2])
     """
-    wide = torch.broadcast_tensors(*coefficients, coefficients[0].new_empty(3))
-    return torch.stack(wide[:-1], -1)
+    return torch.stack(torch.broadcast_tensors(*coefficients), -1)
 
 
 class Pattern(NamedTuple):
@@ -139,7 +138,7 @@ def _start(spec: "BoundedParameter") -> Tensor:
 
 
 def value_of(kind: "type[Lobe]") -> Callable[..., Tensor]:
-    """The function of pairs and parameters that a lobe's terms and coefficients make up, `(..., N, 3)`."""
+    """The function of pairs and parameters that a lobe's terms and coefficients make up, `(..., N, C)`."""
 
     def function(pairs: Pairs, *parameters: Tensor) -> Tensor:
         named = dict(zip(kind.parameter_specs, parameters, strict=True))

@@ -17,7 +17,8 @@ class Sum(Lobe):
         shared: names of parameters that a fit keeps the same for all specular lobes that have them, such as `f0`.
 
     Raises:
-        UsageError: there is none, or a name to share is not of two or more lobes that allow the same values.
+        UsageError: there is none, they have different numbers of channels, or a name to share is not of two or more
+            lobes that allow the same values.
 
     Example:
         >>> from torchbrdf.lobes import Lambert, Sum, Ward
@@ -32,6 +33,9 @@ class Sum(Lobe):
             raise UsageError("Sum: expected at least one lobe, found none")
         self.lobes = nn.ModuleList(component for lobe in lobes for component in lobe.components())
         self.shared = tuple(shared)
+        counts = {lobe.channels for lobe in self.components()}
+        if len(counts) > 1:
+            raise UsageError(f"Sum: expected lobes with as many channels each, found {' and '.join(map(str, counts))}")
         check_shared([type(lobe) for lobe in self.components()], self.shared)
 
     def components(self) -> list[Lobe]:
@@ -39,7 +43,7 @@ class Sum(Lobe):
         return list(self.lobes)  # type: ignore[arg-type]
 
     def forward(self, pairs: Pairs) -> Tensor:
-        """The sum of the lobes' values on pairs, `(..., N, 3)`."""
+        """The sum of the lobes' values on pairs, `(..., N, C)`."""
         first, *rest = self.lobes
         total: Tensor = first(pairs)
         for lobe in rest:

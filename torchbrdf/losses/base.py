@@ -1,6 +1,7 @@
 """What a loss is: one error for each material, from two sets of values on the same Pairs."""
 
 import inspect
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -79,6 +80,8 @@ class Loss(nn.Module):
     has_exposure: ClassVar[bool] = False
     """Whether `encode` is `compress` of values times `exposure`: a class says so by giving `exposure`, and that it is
     not by giving an `encode` of its own."""
+    needs_rgb: ClassVar[bool] = False
+    """Whether it is of linear RGB only, as one of pictures is."""
     is_root: bool = True
     """Whether the error is the square root of what a fit minimises."""
 
@@ -254,6 +257,19 @@ class Loss(nn.Module):
     def select(self, problem: Problem, samples: Tensor) -> Problem:
         """The part of a problem that has only some of the measured pairs, by index."""
         return problem.select(samples=samples)
+
+    def with_luminance(self, shares: Sequence[float]) -> "Loss":
+        """The loss of values whose channels count so much in luminance; itself, if luminance is nothing to it.
+
+        Args:
+            shares: of each channel.
+
+        Example:
+            >>> from torchbrdf.losses import LearnedLoss
+            >>> LearnedLoss().with_luminance([0.1, 0.6, 0.3])
+            LearnedLoss(luminance=(0.1, 0.6, 0.3))
+        """
+        return self
 
     def _widened(self, prediction: Tensor, target: Tensor, pairs: Pairs | None) -> tuple[Tensor, Tensor, Pairs | None]:
         """Values of half precision in float32."""

@@ -50,6 +50,7 @@ class CombinedLoss(Loss):
 
     objective = "combined"
     is_root = False
+    needs_rgb = True
     default_diffuse = "fit"
 
     def __init__(

@@ -35,6 +35,7 @@ class ImageLoss(Loss):
 
     objective = "image"
     supports_subsampling = False
+    needs_rgb = True
     default_diffuse = "fit"
     pairs: Pairs
     """Those of the values that it observes."""

@@ -1,7 +1,8 @@
 """A distance between BRDFs whose four constants were learned from what people answered."""
 
+import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -114,8 +115,8 @@ class LearnedLoss(Loss):
     are those of the others.
 
     With one channel, luminance is its value and there is no chroma; with any other number but three, all channels count
-    alike in luminance. Weights that differ by channel weigh each channel's averages, and its share in luminance and
-    chroma by the sum of its weights.
+    alike in luminance unless `luminance` says otherwise, as a fit does where it knows the wavelengths. Weights that
+    differ by channel weigh each channel's averages, and its share in luminance and chroma by the sum of its weights.
 
     Unit: the mean distance between two materials of MERL; `provenance` says where the constants are from.
 
@@ -124,10 +125,11 @@ class LearnedLoss(Loss):
         weights: the path of a `metric.json`, or what such a file holds; None: the constants above.
         scale: what values are multiplied by, above 0. Dark differences count by E, which is meant for MERL's
             scale: 1/sr, with white at 1/pi. Give the factor that brings other data there.
+        luminance: what each channel counts in luminance; None: BT.709's shares of three channels, others alike.
 
     Raises:
         DataError: for constants that are none.
-        UsageError: for any other reduction or scale.
+        UsageError: for any other reduction or scale, or shares of luminance that are none.
 
     Example:
         >>> import torch
@@ -152,6 +154,7 @@ class LearnedLoss(Loss):
         reduction: Reduction = "mean",
         weights: str | Path | Mapping[str, Any] | None = None,
         scale: float = 1.0,
+        luminance: Sequence[float] | None = None,
     ) -> None:
         super().__init__(reduction)
         if not 0 < scale < math.inf:
@@ -160,10 +163,19 @@ class LearnedLoss(Loss):
         self.provenance: dict[str, Any] = dict(data.get("provenance", {}))
         self.weights = weights if isinstance(weights, str | Path) else None
         self.scale = scale
+        self.luminance = None if luminance is None else _shares(luminance)
         self.constants: Tensor
         own = [data["constants"][name] for name in CONSTANTS]
         self.register_buffer("constants", torch.tensor(own, dtype=torch.float64, device="cpu"))
         self._kept_comparison: Kept[Comparison] = Kept()
+
+    def with_luminance(self, shares: Sequence[float]) -> "LearnedLoss":
+        """The same metric of other channels; its own shares, where it was given some, stay."""
+        if self.luminance is not None:
+            return self
+        made = copy.deepcopy(self)
+        made.luminance = _shares(shares)
+        return made
 
     def exposure(self, pairs: Pairs | None) -> Tensor:
         """scale cos_i cos_o."""
@@ -210,7 +222,7 @@ class LearnedLoss(Loss):
             prediction, target = prediction.to(like), target.to(like)
             comparison = self.comparison(pairs, weight, target)
             one = self.encoded(prediction, pairs, comparison)
-            key = (target, pairs, weight, self.scale)
+            key = (target, pairs, weight, self.scale, self.luminance)
             other: Encoded | None = self._kept_target.find(*key)
             if other is None:
                 other = self.encoded(target, pairs, comparison)
@@ -225,11 +237,12 @@ class LearnedLoss(Loss):
 
     def comparison(self, pairs: Pairs, weight: Tensor | None, like: Tensor) -> Comparison:
         """How values `like` `(..., N, C)` are compared under weights; kept, as the same come again in a fit."""
-        key = (pairs, weight, like.dtype, like.shape[-2:])
+        key = (pairs, weight, like.dtype, like.shape[-2:], self.luminance)
         found = self._kept_comparison.find(*key)
         if found is None:
             bins = sort_into_bins(pairs, weight, like)
-            found = Comparison(bins, *bin_shares(bins.present), *channel_shares(bins.total, like.shape[-1]))
+            channels = channel_shares(bins.total, like.shape[-1], self.luminance)
+            found = Comparison(bins, *bin_shares(bins.present), *channels)
             if bins.shares.numel() <= CACHED:
                 self._kept_comparison.keep(found, *key, own=bins.mass)
         return found
@@ -320,11 +333,32 @@ def _even(shares: Tensor, dim: int | tuple[int, ...]) -> Tensor:
     return shares / torch.where(total > 0, total, 1)
 
 
-def channel_shares(total: Tensor, channels: int) -> tuple[Tensor, Tensor, Tensor]:
-    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`."""
+def _shares(luminance: Sequence[float]) -> tuple[float, ...]:
+    """What channels count in luminance, checked."""
+    try:
+        found = tuple(map(float, luminance))
+    except (TypeError, ValueError):
+        found = ()
+    if not found or not all(0 <= one < math.inf for one in found) or not sum(found):
+        raise UsageError(
+            f"LearnedLoss: luminance: expected a share from 0 on for each channel, found {shown(luminance)}"
+        )
+    return found
+
+
+def channel_shares(
+    total: Tensor, channels: int, luminance: Sequence[float] | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`channel`, `channel_luminance`, `channel_chroma` of a `Comparison`, from each channel's weight, `(..., 1|C)`.
+
+    luminance: what each channel counts in it; None: as linear RGB has it, other channels alike.
+    """
+    known = luminance if luminance is not None else LUMINANCE if channels == len(LUMINANCE) else [1.0] * channels
+    if len(known) != channels:
+        raise ShapeError(f"LearnedLoss: luminance: expected values of {len(known)} channels, found {channels}")
     share = (total / total.amax(-1, keepdim=True)).nan_to_num(1).expand(*total.shape[:-1], channels)
-    luminance = share * share.new_tensor(LUMINANCE if channels == 3 else [1.0] * channels)
-    luminance = (luminance / luminance.sum(-1, keepdim=True))[..., None, :]
+    light = share * share.new_tensor(known)
+    light = (light / light.sum(-1, keepdim=True))[..., None, :]
     root = (share / share.sum(-1, keepdim=True)).sqrt()[..., None]
     one = torch.eye(channels, dtype=share.dtype, device=share.device)
-    return root, luminance, root * (one - luminance)
+    return root, light, root * (one - light)

@@ -14,8 +14,8 @@ class Problem:
 
     Args:
         pairs: of shape `(M|1, N)`.
-        target: BRDF values in 1/sr, `(M, N, 3)`.
-        weight: how much each pair counts, `(M|1, N, 1|3)`; None: all the same.
+        target: BRDF values in 1/sr, `(M, N, C)`.
+        weight: how much each pair counts, `(M|1, N, 1|C)`; None: all the same.
 
     Example:
         >>> import torch
@@ -52,12 +52,12 @@ class MeasuredValues(Protocol):
 
     @property
     def values(self) -> Tensor:
-        """Values in 1/sr, `(M, N, 3)`."""
+        """Values in 1/sr, `(M, N, C)`."""
         ...
 
     @property
     def weight(self) -> Tensor:
-        """Weights, `(M|1, N, 3|1)`."""
+        """Weights, `(M|1, N, C|1)`."""
         ...
 
     @property

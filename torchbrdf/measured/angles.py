@@ -1,11 +1,14 @@
 """Angles of directions as files give them: in which unit, and what they are as pairs of directions."""
 
+import logging
 import math
 from pathlib import Path
 
 import numpy as np
 
 from torchbrdf.errors import DataError
+
+log = logging.getLogger("torchbrdf")
 
 UNITS = ("auto", "radians", "degrees")
 # Of rounding in a file.
@@ -29,17 +32,35 @@ def in_radians(path: Path, polar: np.ndarray, azimuth: np.ndarray, unit: str) ->
     turned = float(np.abs(azimuth).max(initial=0))
     half = {"radians": math.pi, "degrees": 180.0}
     own = unit if unit != "auto" else "radians" if largest <= math.pi + _TOLERANCE else "degrees"
+    other = " (are they degrees? a setting, angles=degrees, says so)" if own == "radians" else ""
     if not largest <= half[own] * (1 + _TOLERANCE):
-        raise DataError(f"{path}: expected angles from the normal up to {half[own]:.4g} {own}, found {largest:.6g}")
+        raise DataError(
+            f"{path}: expected angles from the normal up to {half[own]:.4g} {own}, found {largest:.6g}{other}"
+        )
     if not turned <= 4 * half[own] * (1 + _TOLERANCE):
-        raise DataError(f"{path}: expected azimuths up to {2 * half[own]:.4g} {own}, found {turned:.6g}")
+        raise DataError(f"{path}: expected azimuths up to {2 * half[own]:.4g} {own}, found {turned:.6g}{other}")
     if unit != "auto":
         said = own
     elif own == "degrees":
         said = f"degrees (the file does not say; one of {largest:.4g} from the normal cannot be radians)"
     else:
         said = f"radians (the file does not say; the largest from the normal is {largest:.4g})"
+    doubt = _doubt(largest, turned, own, unit == "auto")
+    if doubt:
+        log.warning("torchbrdf: %s: angles: %s", path, doubt)
+        said = f"{said}; {doubt}"
     return (math.pi / 180 if own == "degrees" else 1.0), said
+
+
+def _doubt(largest: float, turned: float, unit: str, is_guessed: bool) -> str:
+    """What makes it likely that angles taken for degrees are radians, all or azimuths only; "" where nothing does."""
+    if unit == "radians" or not 0 < turned <= 2 * math.pi + _TOLERANCE:
+        return ""
+    if not is_guessed and 0 < largest <= math.pi / 2 + _TOLERANCE:
+        return f"taken for degrees, as said, but none from the normal is above {largest:.4g}: they may be radians"
+    if largest > math.pi / 2 and turned > 3:
+        return f"taken for degrees, but no azimuth is above {turned:.4g}: azimuths may be radians"
+    return ""
 
 
 def direction(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:

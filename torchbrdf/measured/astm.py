@@ -12,6 +12,7 @@ import numpy as np
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.angles import in_radians
+from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
 from torchbrdf.measured.listed import Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
@@ -23,8 +24,6 @@ _KEYS = (
 )
 _ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 _OTHER_NAMES = {"theta_r": "theta_s", "theta_o": "theta_s", "phi_r": "phi_s", "phi_o": "phi_s"}
-_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*nm", re.IGNORECASE)
-_RGB = (("r", "g", "b"), ("red", "green", "blue"))
 _EXPECTED = "an ASTM E1392 file"
 
 
@@ -90,18 +89,12 @@ def _bands(path: Path, names: Sequence[str]) -> tuple[list[int], list[float] | N
     if missing:
         raise DataError(f"{path}: VARS: expected {', '.join(_ANGLES)} once each, found {shown(' '.join(names), 90)}")
     columns = [k for k, name in enumerate(names) if name not in _ANGLES]
-    found = [_BAND.fullmatch(names[k]) for k in columns]
-    if tuple(names[k] for k in columns) in _RGB:
-        return columns, None
-    if columns and all(found):
-        by_length = sorted((float(one[1]), k) for one, k in zip(found, columns, strict=True) if one)
-        lengths = [length for length, _ in by_length]
-        if len(set(lengths)) == len(lengths):
-            return [k for _, k in by_length], lengths
-    if len(columns) == 1:
-        return columns, None
-    other = " ".join(names[k] for k in columns)
-    raise DataError(f"{path}: VARS: expected bands such as 465nm, or red, green, blue, found {shown(other, 90)}")
+    found = columns_of_bands([names[k] for k in columns])
+    if found is None:
+        other = " ".join(names[k] for k in columns)
+        raise DataError(f"{path}: VARS: expected bands such as 465nm, or red, green, blue, found {shown(other, 90)}")
+    order, wavelengths = found
+    return [columns[k] for k in order], wavelengths
 
 
 def _counted(said: str | None, rows: int) -> dict[str, object]:

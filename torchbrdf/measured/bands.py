@@ -1,22 +1,31 @@
 """Colours of what was measured in bands of wavelengths: CIE 1931 and linear RGB with the primaries of ITU-R BT.709."""
 
+import re
 from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
 
-from torchbrdf.errors import ShapeError, shown
+from torchbrdf.color import LUMINANCE
+from torchbrdf.errors import DataError, ShapeError, shown
+from torchbrdf.kinds import BANDS as BANDS
 from torchbrdf.registry import unknown
 
 Illuminant = Literal["D65", "E"]
 ILLUMINANTS: tuple[str, ...] = get_args(Illuminant)
 DEFAULT_ILLUMINANT = "D65"
 
+RGB, KEEP = BANDS
+"""What may become of bands: linear RGB, or what they are."""
+
 VISIBLE = (380.0, 780.0)
 """Wavelengths, in nm, that colours are sums over."""
 LONGEST = 1e6
 """No wavelength of a reflectance, in nm, is as long."""
 _STEP = 5.0
+# What columns of values are called.
+_PRIMARIES = (("r", "g", "b"), ("red", "green", "blue"))
+_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(?:nm)?")
 # Spectral power at 380, 390, ..., 780 nm. Source: CIE 015:2018, Colorimetry, table 1.
 _D65 = (
     49.9755, 54.6482, 82.7549, 91.4860, 93.4318, 86.6823, 104.865, 117.008, 117.812, 114.861, 115.923, 108.811,
@@ -88,6 +97,36 @@ def checked_wavelengths(wavelengths: Sequence[float], channels: int) -> tuple[fl
     return found
 
 
+def columns_of_bands(names: Sequence[str]) -> tuple[list[int], list[float] | None] | None:
+    """Which columns of a table are bands, by the names of all, in the order of their wavelengths.
+
+    They are red, green and blue, `r`, `g`, `b` in any order; or wavelengths, such as `465nm`; or one column of any
+    other name, grey.
+
+    Args:
+        names: Of the columns of values, in lower case.
+
+    Returns:
+        The columns' places in their order, and their wavelengths, nm; None in the place of these for linear RGB and
+        grey. None for names of neither kind.
+
+    Example:
+        >>> from torchbrdf.measured.bands import columns_of_bands
+        >>> columns_of_bands(["630nm", "465 nm"]), columns_of_bands(["b", "g", "r"]), columns_of_bands(["x", "y"])
+        (([1, 0], [465.0, 630.0]), ([2, 1, 0], None), None)
+    """
+    for primaries in _PRIMARIES:
+        if sorted(names) == sorted(primaries):
+            return [list(names).index(name) for name in primaries], None
+    found = [_BAND.fullmatch(name) for name in names]
+    if names and all(found):
+        by_length = sorted((float(one[1]), k) for k, one in enumerate(found) if one)
+        lengths = [length for length, _ in by_length]
+        if len(set(lengths)) == len(lengths) and lengths[0] > 0 and lengths[-1] < LONGEST:
+            return [k for _, k in by_length], lengths
+    return ([0], None) if len(names) == 1 else None
+
+
 def rgb_weights(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINANT) -> np.ndarray:
     """What each band counts in linear red, green and blue.
 
@@ -125,6 +164,56 @@ def rgb_weights(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINA
     weights = shares @ seen
     found: np.ndarray = weights / weights.sum(0)
     return found
+
+
+def luminance_shares(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINANT) -> tuple[float, ...]:
+    """What each band counts in luminance; bands without colour count alike.
+
+    Args:
+        wavelengths: Of the bands, in nm, growing.
+        illuminant: As of `rgb_weights`.
+
+    Example:
+        >>> from torchbrdf.measured.bands import luminance_shares
+        >>> [round(share, 3) for share in luminance_shares([465, 525, 630])]
+        [0.113, 0.539, 0.348]
+    """
+    found = np.clip(rgb_weights(wavelengths, illuminant) @ np.array(LUMINANCE), 0, None)  # Y, but for rounding
+    return tuple((found / found.sum()).tolist())
+
+
+def bands_in_words(channels: int, wavelengths: Sequence[float] | None) -> str:
+    """What channels are that are not linear RGB.
+
+    Example:
+        >>> from torchbrdf.measured.bands import bands_in_words
+        >>> bands_in_words(31, range(400, 710, 10)), bands_in_words(2, None)
+        ('31 bands from 400 to 700 nm', '2 bands whose wavelengths nobody said')
+    """
+    if channels == 3 and wavelengths is None:
+        return "linear RGB"
+    count = "1 band" if channels == 1 else f"{channels} bands"
+    if wavelengths is None:
+        return f"{count} whose wavelength{'s' * (channels > 1)} nobody said"
+    if channels <= 4:
+        return f"{count} of {', '.join(f'{one:g}' for one in wavelengths)} nm"
+    return f"{count} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
+
+
+def check_same_bands(paths: Sequence[object], bands: Sequence[tuple[int, Sequence[float] | None]]) -> None:
+    """Refuse files of one format whose bands differ, which cannot be one measurement.
+
+    Args:
+        paths: The files.
+        bands: Of each how many channels, and their wavelengths.
+
+    Raises:
+        DataError: Names the first that differs.
+    """
+    for path, own in zip(paths, bands, strict=True):
+        if own != bands[0]:
+            first, other = bands_in_words(*bands[0]), bands_in_words(*own)
+            raise DataError(f"{path}: expected {first}, as {paths[0]} has, found {other}; read it alone, or as RGB")
 
 
 def is_grey(wavelengths: Sequence[float]) -> bool:

@@ -1,14 +1,13 @@
 """What anybody can write: columns with names, in CSV or in an `.npz`."""
 
 import csv
-import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.angles import in_radians
+from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
 from torchbrdf.measured.listed import Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
@@ -16,8 +15,8 @@ from torchbrdf.reading import read_npz
 
 _EXPECTED = "columns theta_i, theta_o, phi and bands"
 _NEEDED = ("theta_i", "theta_o")
-_RGB = ("r", "g", "b")
-_BAND = re.compile(r"([0-9]+(?:\.[0-9]+)?)(?:\s*nm)?", re.IGNORECASE)
+_AZIMUTHS = ("phi", "phi_i", "phi_o")
+_GREY = ("f", "brdf", "value")
 
 
 @FORMATS.register("columns")
@@ -40,6 +39,22 @@ class Columns(ListedFormat):
         first = next((line for line in head_lines(path, head) if line[0] != "#"), "")
         return set(_NEEDED) <= set(_names(first))
 
+    @classmethod
+    def hint(cls, path: Path, head: bytes) -> str:
+        """Which columns a table lacks whose names are some, but not those of both angles."""
+        if head.startswith(b"PK"):
+            names, kind = _arrays(path), "arrays"
+            if not names:
+                return "an archive that is damaged, or has no arrays" if path.suffix.lower() == ".npz" else ""
+        else:
+            first = next((line for line in head_lines(path, head) if line[0] != "#"), "")
+            names, kind = _names(first), "columns"
+            near = set(names) & {*_NEEDED, *_AZIMUTHS, *_GREY, "r", "g", "b"} or any("theta" in one for one in names)
+            if not (near or (path.suffix.lower() in (".csv", ".tsv") and len(names) > 1)):
+                return ""
+        missing = ", ".join(name for name in _NEEDED if name not in names)
+        return f"{kind} {shown(' '.join(names), 90)} without {missing}" if missing else ""
+
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         with path.open("rb") as file:
@@ -60,9 +75,13 @@ class Columns(ListedFormat):
             raise DataError(f"{path}: expected a column phi, or phi_i and phi_o, found {shown(' '.join(names), 90)}")
         polar, azimuth = (np.stack(one, -1) for one in ((column["theta_i"], column["theta_o"]), (phi_i, phi_o)))
         factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
-        rest = [name for name in names if name not in (*_NEEDED, "phi", "phi_i", "phi_o")]
-        order, wavelengths = _bands(path, rest)
-        values = np.stack([column[name] for name in order], -1)
+        rest = [name for name in names if name not in (*_NEEDED, *_AZIMUTHS)]
+        found = columns_of_bands(rest)
+        if found is None or (len(rest) == 1 and found[1] is None and rest[0] not in _GREY):
+            other = shown(" ".join(rest), 90)
+            raise DataError(f"{path}: expected r, g, b, or bands such as 465nm, or f, found {other}")
+        order, wavelengths = found
+        values = np.stack([column[rest[k]] for k in order], -1)
         angles = factor * np.stack([polar[:, 0], phi_i, polar[:, 1], phi_o], -1)
         return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
 
@@ -104,18 +123,3 @@ def _arrays(path: Path) -> list[str]:
             return [name.removesuffix(".npy").lower() for name in archive.namelist() if name.endswith(".npy")]
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
         return []
-
-
-def _bands(path: Path, names: Sequence[str]) -> tuple[list[str], list[float] | None]:
-    """Columns of values in their order, and their wavelengths; None for RGB and for grey."""
-    if set(names) == set(_RGB):
-        return list(_RGB), None
-    if len(names) == 1 and names[0] in ("f", "brdf", "value"):
-        return list(names), None
-    found = [_BAND.fullmatch(name) for name in names]
-    if names and all(found):
-        pairs = sorted((float(one[1]), name) for one, name in zip(found, names, strict=True) if one)
-        lengths = [length for length, _ in pairs]
-        if len(set(lengths)) == len(lengths) and lengths[0] > 0 and lengths[-1] < 1e6:
-            return [name for _, name in pairs], lengths
-    raise DataError(f"{path}: expected r, g, b, or bands such as 465nm, or f, found {shown(' '.join(names), 90)}")

@@ -12,6 +12,7 @@ from torchbrdf.measured.coverage import coverage
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.noise import noise_of
 from torchbrdf.measured.plausibility import directional_albedo, nonreciprocity
 
 FURNACE = (0.0, 60.0)
@@ -68,6 +69,8 @@ def _material(measured: Measured) -> dict[str, object]:
         stored = measured.source.is_reciprocal
         error = f"{100 * nonreciprocity(measured)[0].item():.2g} % (root mean square)"
         facts["reciprocity error"] = "none, by how values are stored" if stored else error
+    noise = noise_of(measured)
+    facts |= {} if noise is None else {"noise": str(noise)}
     albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
     return facts | {
         f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)

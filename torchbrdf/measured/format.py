@@ -50,6 +50,7 @@ class BrdfFormat(ABC):
         format: The name of the format.
         suffixes: Those that no other kind of file has: a file so named that is not of the format is a bad one, and not
             one to pass over.
+        is_text: Whether files are text; of a format that is not, a text is no bad file, whatever its suffix.
         names: Of the materials, M.
         paths: The file of each material.
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
@@ -57,6 +58,7 @@ class BrdfFormat(ABC):
         wavelengths: Of the C bands, nm, growing; None of linear RGB, and where nobody knows them.
         stand_in: Whether the values come from a model that stands in for a measurement.
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
+        is_sampled: Whether samples are measurements, whose noise can be told.
         is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
             interpolated; by default where `at` is the one here.
         is_anisotropic: Whether values depend on how the surface is turned about its normal; a property where that
@@ -68,6 +70,7 @@ class BrdfFormat(ABC):
 
     format: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
+    is_text: ClassVar[bool] = True
     names: Sequence[str]
     paths: Sequence[Path]
     pairs: Pairs
@@ -75,6 +78,7 @@ class BrdfFormat(ABC):
     wavelengths: tuple[float, ...] | None = None
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
+    is_sampled: ClassVar[bool] = True
     is_reciprocal: ClassVar[bool] = False
     is_anisotropic: bool = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
@@ -89,6 +93,11 @@ class BrdfFormat(ABC):
     @abstractmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
         """Whether a file is of this format, by `head`, its first 64 bytes (and its size)."""
+
+    @classmethod
+    def hint(cls, path: Path, head: bytes) -> str:
+        """What a file that no format knows lacks to be of this one, in words; "" where that is not to be told."""
+        return ""
 
     @classmethod
     @abstractmethod
@@ -145,6 +154,11 @@ class BrdfFormat(ABC):
                     angles = Angles.of(pairs.select(samples=part), own)
                     found = places, own, places.near(angles, *([] if neighbours is None else [neighbours]))
                 yield row, part, found[2], surface
+
+    @property
+    def is_scattered(self) -> bool:
+        """Whether values are interpolated between samples without a grid: where `at` is the one here."""
+        return type(self).at is BrdfFormat.at
 
     @property
     def _ready(self) -> "OrderedDict[object, Any]":
@@ -222,6 +236,14 @@ class BrdfFormat(ABC):
             asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0).turned()
             found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
         return found
+
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file of a material was read, by name: its format, and what was told, believed and made of it."""
+        found: dict[str, object] = {"format": self.format}
+        if material < len(self.paths):
+            found["file"] = self.paths[material].name
+        told = getattr(self, "told", {})
+        return found | ({"settings": dict(told)} if told else {})
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""

@@ -80,8 +80,9 @@ def _reached(measured: Measured, light: list[float], viewer: list[float]) -> Ten
 
 
 def _luminance(measured: Measured, light: Tensor, viewer: Tensor) -> Tensor:
-    """Luminance in the plane of incidence, `(M, N)`."""
-    return luminance(measured.at(_in_plane(light, viewer)))
+    """Luminance in the plane of incidence, `(M, N)`; of bands by their wavelengths."""
+    values = measured.at(_in_plane(light, viewer))
+    return luminance(values) if measured.is_rgb else values @ values.new_tensor(measured.luminance_shares)
 
 
 def _in_plane(light: Tensor, viewer: Tensor) -> Pairs:

@@ -54,7 +54,7 @@ def weighted_rows(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
 def interpolate(
     table: Tensor, position: Sequence[Tensor], shape: Sequence[int], interpolation: Interpolation
 ) -> tuple[Tensor, Tensor]:
-    """Values `(N, 3)` from the valid neighbours, and where there are none, `(N,)`."""
+    """Values `(N, C)` from the valid neighbours, and where there are none, `(N,)`."""
     if interpolation == "nearest":
         rows = table[nearest_rows(position, shape)]
     else:
@@ -63,10 +63,10 @@ def interpolate(
 
 
 def normalized(rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Values `(N, 3)` of weighted rows `(N, 4)`, whose last column is the valid share, and where that is 0, `(N,)`."""
-    share = rows[:, 3]
+    """Values `(N, C)` of weighted rows `(N, C + 1)`, the last the valid share, and where that is 0, `(N,)`."""
+    share = rows[:, -1]
     missing = share <= 0
-    return rows[:, :3] / torch.where(missing, 1, share)[:, None], missing
+    return rows[:, :-1] / torch.where(missing, 1, share)[:, None], missing
 
 
 def nearest_valid(valid: np.ndarray) -> np.ndarray:

@@ -15,9 +15,19 @@ from torch.nn.utils.rnn import pad_sequence
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.angles import UNITS, direction
-from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, ILLUMINANTS, colors_label, rgb_weights
+from torchbrdf.measured.bands import (
+    BANDS,
+    DEFAULT_ILLUMINANT,
+    ILLUMINANTS,
+    KEEP,
+    RGB,
+    bands_in_words,
+    check_same_bands,
+    colors_label,
+    rgb_weights,
+)
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
-from torchbrdf.measured.summary import summary
+from torchbrdf.measured.summary import repeated, summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -27,7 +37,12 @@ LEAST_COSINE = 1e-4
 LARGEST_VALUE = 1e8
 """Larger values, in 1/sr, are no reflectance."""
 QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
-SETTINGS: Mapping[str, tuple[str, ...]] = {"angles": UNITS, "illuminant": ILLUMINANTS, "quantity": QUANTITIES}
+SETTINGS: Mapping[str, tuple[str, ...]] = {
+    "angles": UNITS,
+    "bands": BANDS,
+    "illuminant": ILLUMINANTS,
+    "quantity": QUANTITIES,
+}
 """What a reader may be told that a file does not say, and the values of each."""
 
 
@@ -57,20 +72,22 @@ class Listed:
 
 
 class _Opened(NamedTuple):
-    """What was read of one file: directions, values and validity of N samples, and facts."""
+    """What was read of one file: directions, values and validity of N samples, facts, and wavelengths of bands."""
 
     wi: Tensor
     wo: Tensor
     values: Tensor
     valid: Tensor
     facts: dict[str, object]
+    wavelengths: tuple[float, ...] | None
 
 
 class ListedFormat(BrdfFormat):
     """Base of formats whose files list directions and values. A subclass gives `recognises` and `parse`.
 
-    Values become RGB and a BRDF in 1/sr when a file is opened; how, `details` says. Negative values are kept: noise has
-    two sides. Samples that are not finite, too large for a reflectance, or not above the horizon get weight 0.
+    Values become a BRDF in 1/sr when a file is opened, and RGB unless bands are kept; how, `details` says. Negative
+    values stay: noise has two sides. Samples that are not finite, too large for a reflectance, or not above the horizon
+    get weight 0.
 
     Args:
         paths: Files that `recognises` said yes to.
@@ -84,12 +101,14 @@ class ListedFormat(BrdfFormat):
         self.names = [path.stem for path in paths]
         self.told = dict(settings or {})
         self._read = [self._opened(path) for path in paths]
+        self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
+        check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
 
     def _opened(self, path: Path) -> _Opened:
         listed = self.parse(path)
         if not len(listed.values):
             raise DataError(f"{path}: expected samples, found none")
-        values, words = in_colors(listed, self.setting("illuminant", DEFAULT_ILLUMINANT))
+        values, words, wavelengths = self._in_colors(listed)
         wi, wo = listed.directions()
         for one in (wi, wo):
             one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
@@ -104,9 +123,22 @@ class ListedFormat(BrdfFormat):
                 raise DataError(f"{path}: {expected} {f'{finite.min():.3g} and more' if finite.size else 'none'}")
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
+        if again := repeated(wi[valid], wo[valid], values[valid]):
+            facts["repeated directions"] = again
+            log.warning("torchbrdf: %s: repeated directions: %s", path, again)
         values[~valid] = 0
         toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
-        return _Opened(toward, seen, found, good, facts)
+        return _Opened(toward, seen, found, good, facts, wavelengths)
+
+    def _in_colors(self, listed: Listed) -> tuple[np.ndarray, str, tuple[float, ...] | None]:
+        """Values as linear RGB, or in bands, how they became so, and the wavelengths of bands."""
+        if self.setting("bands", RGB) == KEEP:
+            lengths = listed.wavelengths
+            count = listed.values.shape[1]
+            own = None if lengths is None else tuple(map(float, lengths))
+            words = _AS_IT_IS if own is None and count == 3 else f"none: {bands_in_words(count, own)}, as they are"
+            return np.array(listed.values, dtype=np.float64), words, own
+        return *in_colors(listed, self.setting("illuminant", DEFAULT_ILLUMINANT)), None
 
     @classmethod
     def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "ListedFormat":
@@ -136,7 +168,7 @@ class ListedFormat(BrdfFormat):
 
     @cached_property
     def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
-        """Pairs `(1, N)` where all files have the same, else `(M, N)`; values `(M, N, 3)` and weights `(M, N, 1)`."""
+        """Pairs `(1, N)` where all files have the same, else `(M, N)`; values `(M, N, C)` and weights `(M, N, 1)`."""
         first = self._read[0]
         shared = all(torch.equal(one.wi, first.wi) and torch.equal(one.wo, first.wo) for one in self._read[1:])
         values = pad_sequence([one.values for one in self._read], batch_first=True)
@@ -155,10 +187,14 @@ class ListedFormat(BrdfFormat):
         _, values, weight = self._samples
         return values[materials][:, samples], weight[materials][:, samples]
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what it says of itself, and what was believed of that."""
+        return super().reading(material) | self._read[material].facts
+
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
-        wi, wo, values, valid, facts = self._read[material]
-        return {**facts, **summary(wi.numpy(), wo.numpy(), values.numpy(), valid.numpy())}
+        one = self._read[material]
+        return {**one.facts, **summary(*(part.numpy() for part in (one.wi, one.wo, one.values, one.valid)))}
 
 
 _AS_IT_IS = "RGB as the file has it"

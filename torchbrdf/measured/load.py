@@ -10,14 +10,19 @@ import torch
 
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes.zoo import is_zoo, zoo_record
+from torchbrdf.measured.bands import BANDS, RGB
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
+from torchbrdf.measured.rows import is_text
 from torchbrdf.names import LONGEST_NAME, clean_name
 from torchbrdf.reading import reading
 from torchbrdf.registry import unknown
 
 log = logging.getLogger("torchbrdf")
 
+# What commands write beside fits, and pictures of any kind, which nobody takes for measurements.
+_WRITTEN = ("fits.csv", "materials.json", "recipe.json", "study.json", "match.json", "check.json", "log.txt")
+_PICTURES = (".png", ".jpg", ".exr", ".hdr", ".html", ".pdf", ".svg")
 # Bytes of a name that are left for the number behind it.
 ROOM = 12
 
@@ -29,6 +34,7 @@ def load(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
     settings: Mapping[str, str] | None = None,
+    bands: str = RGB,
 ) -> Measured:
     """Load measured BRDFs from a file, several files, or a folder; all of one format.
 
@@ -40,6 +46,8 @@ def load(
         device: Of the values; by default the CPU.
         settings: What the files do not say and their reader is to take, such as `{"angles": "degrees"}`; a format has
             those in its `settings`.
+        bands: What becomes of bands of wavelengths: "rgb", linear RGB by the CIE 1931 observer; or "keep". Formats
+            without bands give linear RGB in any case.
 
     Returns:
         All materials of all files. Names are those of the files, without suffix; where two are the same, with the
@@ -63,6 +71,7 @@ def load(
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
     ((name, members),) = groups.items()
+    settings = _with_bands(settings, bands)
     check_settings([name], settings)
     return _open(name, members, dtype, device, settings)
 
@@ -74,6 +83,7 @@ def load_all(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
     settings: Mapping[str, str] | None = None,
+    bands: str = RGB,
 ) -> list[Measured]:
     """Load measured BRDFs of mixed formats, one `Measured` for each format found.
 
@@ -83,9 +93,10 @@ def load_all(
         dtype: As for `load`.
         device: As for `load`.
         settings: As for `load`; each format takes those that it has.
+        bands: As for `load`.
 
     Returns:
-        One `Measured` a format, in the order in which the formats were found.
+        One `Measured` a format, in the order in which the formats were found; several where bands that are kept differ.
 
     Raises:
         DataError: There is no file; or a file is bad and `bad` is None.
@@ -96,10 +107,13 @@ def load_all(
         ['fits']
     """
     groups = _by_format(find_files(paths, bad), bad)
+    settings = _with_bands(settings, bands)
     check_settings(groups, settings)
-    if bad is not None:
-        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad, settings))}
-    return [_open(name, members, dtype, device, settings) for name, members in groups.items()]
+    found = []
+    for name, members in groups.items():
+        alike = [members] if bad is None and bands == RGB else _alike(name, members, bad, settings)
+        found += [_open(name, own, dtype, device, settings) for own in alike]
+    return found
 
 
 def format_of(path: Path) -> str | None:
@@ -108,7 +122,8 @@ def format_of(path: Path) -> str | None:
     for name, source in sorted(FORMATS.items(), key=lambda item: not _ours(item[1])):  # ours before others'
         if head and _recognises(name, source, path, head):
             return name
-    return next((name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes), None)
+    by_suffix = (name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes)
+    return next((name for name in by_suffix if FORMATS[name].is_text or not is_text(head)), None)
 
 
 def _head(path: Path) -> bytes:
@@ -174,9 +189,10 @@ def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> 
         >>> check_settings(["astm"], {"angles": "degrees"})
     """
     known = {key: values for name in names for key, values in FORMATS[name].settings.items()}
+    known["bands"] = BANDS  # files without them are the same either way
     for key, value in (settings or {}).items():
         if key not in known:
-            has = ", ".join(known) or "none"
+            has = ", ".join(known)
             raise UsageError(f"settings: expected one that {', '.join(names)} has ({has}), found {shown(key)}")
         if value not in known[key]:
             raise unknown(key, value, known[key])
@@ -205,16 +221,28 @@ def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     return list(made)
 
 
-def _good(name: str, paths: Sequence[Path], bad: list[DataError], settings: Mapping[str, str] | None) -> list[Path]:
-    good = []
+def _with_bands(settings: Mapping[str, str] | None, bands: str) -> Mapping[str, str] | None:
+    """Settings, with that of bands where it is not the default."""
+    if bands not in BANDS:
+        raise unknown("bands", shown(bands) if not isinstance(bands, str) else bands, BANDS)
+    return settings if bands == RGB else {**(settings or {}), "bands": bands}
+
+
+def _alike(
+    name: str, paths: Sequence[Path], bad: list[DataError] | None, settings: Mapping[str, str] | None
+) -> list[list[Path]]:
+    """The good files, in groups of those with the same bands."""
+    found: dict[object, list[Path]] = {}
     for path in paths:
         try:
-            _opened(name, [path], settings)
+            one = _opened(name, [path], settings)
         except DataError as error:
+            if bad is None:
+                raise
             bad.append(error)
         else:
-            good.append(path)
-    return good
+            found.setdefault((one.channels, one.wavelengths), []).append(path)
+    return list(found.values())
 
 
 def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
@@ -235,7 +263,9 @@ def _expect_format(path: Path) -> str:
     if not head:
         raise DataError(f"{path}: the file is empty; expected a measured BRDF ({_known()})")
     if name is None:
-        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found a file that begins with {head[:12]!r}")
+        hints = (source.hint(path, head) for source in FORMATS.values() if _ours(source))
+        found = next(filter(None, hints), f"a file that begins with {head[:12]!r}")
+        raise DataError(f"{path}: expected a measured BRDF ({_known()}), found {found}")
     return name
 
 
@@ -282,10 +312,21 @@ def _folder(path: Path) -> list[Path]:
         inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    known = [file for file in map(_file, inside) if format_of(file)]
+    named = {suffix for source in FORMATS.values() for suffix in source.suffixes}
+    known = [file for file in map(_file, inside) if file.suffix.lower() in named or format_of(file)]
     if not known:
         raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {_count(path, len(inside))}")
+    _say_passed(path, [file for file in inside if _file(file) not in known])
     return known
+
+
+def _say_passed(folder: Path, passed: Sequence[Path]) -> None:
+    """Say how many files of a folder are none of ours, unless they are what commands wrote there."""
+    others = [file for file in passed if file.name not in _WRITTEN and file.suffix.lower() not in _PICTURES]
+    if others:
+        count = "1 file" if len(others) == 1 else f"{len(others)} files"
+        end = "" if len(others) == 1 else ", ..."
+        log.warning("torchbrdf: %s: passed over %s of no known format: %s%s", folder, count, others[0].name, end)
 
 
 def _count(folder: Path, files: int) -> str:

@@ -1,20 +1,20 @@
 """A measured BRDF: values on Pairs, read from their source in the parts that are asked for."""
 
 import math
-import operator
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, get_args
 from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, ShapeError, UsageError, shown
-from torchbrdf.measured.bands import checked_wavelengths
+from torchbrdf.color import LUMINANCE
+from torchbrdf.errors import DataError, ShapeError
+from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, bands_in_words, luminance_shares
+from torchbrdf.measured.colors import InColors
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
-from torchbrdf.names import check_name
+from torchbrdf.measured.samples import Samples, check_given, row_of, samples_of
 from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import unknown
 
@@ -29,54 +29,6 @@ def reading_45_0() -> Pairs:
     """The 45:0 reading, `(1, 1)`: light at 45 degrees, viewer at the normal."""
     angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
     return Pairs.from_half_diff(angle, angle, torch.zeros_like(angle))
-
-
-class Samples(BrdfFormat):
-    """The format of values that somebody already has as tensors, see `Measured.from_samples`."""
-
-    format = "samples"
-
-    def __init__(
-        self,
-        pairs: Pairs,
-        values: Tensor,
-        weight: Tensor | None,
-        names: Sequence[str] | None,
-        wavelengths: Sequence[float] | None = None,
-    ) -> None:
-        if values.dim() != 3 or not values.shape[-1] or values.shape[1] != len(pairs):
-            raise ShapeError(f"Measured: expected values (M, {len(pairs)}, C), found {(*values.shape,)}")
-        self.channels = values.shape[-1]
-        self.wavelengths = None if wavelengths is None else checked_wavelengths(wavelengths, self.channels)
-        if names is not None and len(names) != len(values):
-            raise ShapeError(f"Measured: {len(names)} names for {len(values)} materials")
-        valid = values.isfinite().all(-1, keepdim=True) & pairs.above_horizon[..., None]
-        given = torch.ones_like(values[..., :1]) if weight is None else weight.to(values).expand(*values.shape[:2], 1)
-        self.weight = torch.where(valid, given, 0)
-        self.values = torch.where(self.weight > 0, values, 0)
-        self.pairs = pairs if pairs.cos_i.dim() == 2 else pairs.unsqueeze()
-        given_names = names if names is not None else [f"material{k}" for k in range(len(values))]
-        self.names = [check_name(name, "Measured: names") for name in given_names]
-        self.paths = []
-
-    def select(self, materials: list[int]) -> "Samples":
-        """Some materials, where all share the pairs."""
-        names = [self.names[k] for k in materials]
-        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self.wavelengths)
-
-    @classmethod
-    def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether a file is of this format: never, since samples do not come from files."""
-        return False
-
-    @classmethod
-    def open(cls, paths: Sequence[Path]) -> "Samples":
-        """Refuse: samples do not come from files."""
-        raise DataError(f"{paths[0]}: samples do not come from files")
-
-    def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """The given values `(m, n, C)` and weights `(m, n, 1)`."""
-        return self.values[materials][:, samples], self.weight[materials][:, samples]
 
 
 # The samples of shared pairs that were asked for last, with device and dtype.
@@ -148,8 +100,9 @@ class Measured:
             wavelengths: Of the C bands, nm, growing; None: linear RGB where C is 3, else unknown.
 
         Raises:
-            ShapeError: The shapes do not fit together, or wavelengths do not grow.
-            DataError: A name is none.
+            UsageError: `pairs` are none.
+            ShapeError: The shapes do not fit together, directions are no unit vectors, or wavelengths do not grow.
+            DataError: A name is none; or no value at all is finite and above the horizon.
 
         Example:
             >>> angle = torch.tensor([[0.1, 0.2]])
@@ -157,8 +110,7 @@ class Measured:
             >>> measured.weight[0, :, 0]
             tensor([1., 1.])
         """
-        if not isinstance(values, Tensor):
-            raise ShapeError(f"Measured: values: expected a tensor (M, N, C), found {shown(values)}")
+        check_given(pairs, values)
         return cls(Samples(pairs, values, weight, names, wavelengths), dtype=values.dtype, device=values.device)
 
     @property
@@ -175,6 +127,59 @@ class Measured:
     def wavelengths(self) -> tuple[float, ...] | None:
         """Of the C bands, nm, growing; None of linear RGB, and where nobody knows them."""
         return self.source.wavelengths
+
+    @property
+    def is_rgb(self) -> bool:
+        """Whether values are linear RGB."""
+        return self.channels == 3 and self.wavelengths is None
+
+    @property
+    def has_colors(self) -> bool:
+        """Whether values are linear RGB, or can be made so, see `to_rgb`."""
+        return self.is_rgb or self.wavelengths is not None or self.channels == 1
+
+    @property
+    def luminance_shares(self) -> tuple[float, ...]:
+        """What each channel counts in luminance; bands whose wavelengths nobody knows count alike."""
+        if self.is_rgb:
+            return LUMINANCE
+        return (1 / self.channels,) * self.channels if self.wavelengths is None else luminance_shares(self.wavelengths)
+
+    def to_rgb(self, illuminant: str = DEFAULT_ILLUMINANT) -> "Measured":
+        """The same materials in linear RGB, by the CIE 1931 observer; itself, if it is so.
+
+        Args:
+            illuminant: "D65", daylight, or "E", equal power at all wavelengths.
+
+        Raises:
+            DataError: Nobody knows the wavelengths of several bands.
+            UsageError: There is no such illuminant.
+
+        Example:
+            >>> angle = torch.tensor([[0.1, 0.2]])
+            >>> pairs = Pairs.from_half_diff(angle, angle, angle)
+            >>> grey = Measured.from_samples(pairs, torch.ones(1, 2, 31), wavelengths=range(400, 710, 10))
+            >>> grey.to_rgb().values[0, 0]
+            tensor([1.0000, 1.0000, 1.0000])
+        """
+        return self if self.is_rgb else self._view(source=InColors(self.source, illuminant))
+
+    def check_rgb(self, who: str) -> None:
+        """Refuse bands where linear RGB is needed.
+
+        Args:
+            who: Needs it, for the message.
+
+        Raises:
+            DataError: Values are bands.
+
+        Example:
+            >>> from torchbrdf.measured import load, standins
+            >>> load(standins()).check_rgb("pictures")
+        """
+        if not self.is_rgb:
+            found = bands_in_words(self.channels, self.wavelengths)
+            raise DataError(f"{who}: expected linear RGB, found {found}: {', '.join(self.names[:3])}; see to_rgb")
 
     @property
     def stand_in(self) -> bool:
@@ -199,8 +204,8 @@ class Measured:
         return f"Measured({self.source.format}: {shown}; {len(self)} materials, {len(self.pairs)} pairs)"
 
     def _view(self, **changes: object) -> "Measured":
-        state = {name: getattr(self, name) for name in ("materials", "samples", "max_theta", "dtype", "device")}
-        return Measured(self.source, **{**state, **changes})
+        names = ("source", "materials", "samples", "max_theta", "dtype", "device")
+        return Measured(**{name: getattr(self, name) for name in names} | changes)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Measured":
         """The same materials on another device or in another dtype; None leaves either as it is."""
@@ -213,19 +218,19 @@ class Measured:
 
         Args:
             materials: Indices into these materials; by default all.
-            samples: Indices `(n,)` into these samples; by default all.
+            samples: Indices `(n,)` into these samples, or of each whether it is meant, `(N,)`; by default all.
 
         Raises:
             UsageError: There is no such material or sample.
         """
-        chosen = self.materials if materials is None else [self.materials[_row(k, len(self))] for k in materials]
+        chosen = self.materials if materials is None else [self.materials[row_of(k, len(self))] for k in materials]
         if samples is not None:
-            _check_samples(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
+            samples = samples_of(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
         if samples is not None and self.samples is not None:
             samples = self.samples[samples.to(self.samples.device)]
         found = self._view(materials=chosen, samples=self.samples if samples is None else samples)
         if samples is None and "_data" in self.__dict__:
-            found._take_data(self, range(len(self)) if materials is None else [_row(k, len(self)) for k in materials])
+            found._take_data(self, range(len(self)) if materials is None else [row_of(k, len(self)) for k in materials])
         return found
 
     def _take_data(self, other: "Measured", rows: Sequence[int]) -> None:
@@ -403,7 +408,7 @@ class Measured:
     @property
     def is_scattered(self) -> bool:
         """Whether values are interpolated between samples without a grid."""
-        return type(self.source).at is BrdfFormat.at
+        return self.source.is_scattered
 
     @property
     def has_45_0(self) -> Tensor:
@@ -421,24 +426,3 @@ class Measured:
         """
         value = self.at(reading_45_0())[:, 0]
         return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)
-
-
-def _row(material: Any, count: int) -> int:
-    """An index into so many materials, which may count from the end."""
-    try:
-        row = operator.index(material)
-    except TypeError:
-        row = count
-    if not -count <= row < count:
-        there = f"materials 0 to {count - 1}" if count else "no material, since there is none"
-        raise UsageError(f"batch: expected {there}, found {shown(material)}")
-    return row
-
-
-def _check_samples(samples: Tensor, count: int) -> None:
-    """A UsageError for indices that are none into so many samples."""
-    if samples.dtype == torch.bool or not len(samples):
-        return
-    low, high = int(samples.min()), int(samples.max())
-    if not -count <= low <= high < count:
-        raise UsageError(f"batch: expected samples 0 to {count - 1}, found {high if high >= count else low}")

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.in_bands import channels_of
 from torchbrdf.measured.measured import Measured
 from torchbrdf.measured.tables import Reach, measured_up_to
 from torchbrdf.pairs import Pairs
@@ -36,7 +37,7 @@ class Plausibility:
     Attributes:
         name: of the material.
         angles: of the light, degrees from the normal, A.
-        albedo: directional-hemispherical reflectance at each, per channel, A x 3, without a unit.
+        albedo: directional-hemispherical reflectance at each, per channel, A x C, without a unit.
         reciprocity: root mean square of f(wi, wo) - f(wo, wi) over that of f, both times the cosines; None of
             scattered samples, between which values are reciprocal by how they are interpolated.
         lowest: the lowest value at random directions, 1/sr.
@@ -110,7 +111,7 @@ def directional_albedo(brdf: Lobe | Measured, angles: Sequence[float] = ANGLES) 
         angles: of the light, degrees from the normal, each from 0 to below 90, A.
 
     Returns:
-        Albedo, `(M, A, 3)`, without a unit, float64.
+        Albedo, `(M, A, C)`, without a unit, float64.
 
     Raises:
         UsageError: an angle is out of range, or there is none.
@@ -204,7 +205,7 @@ def _there_and_back(brdf: Lobe | Measured, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def _values(brdf: Lobe | Measured, wi: Tensor, wo: Tensor) -> Tensor:
-    """Values `(M, N, 3)`, float64."""
+    """Values `(M, N, C)`, float64."""
     if isinstance(brdf, Measured):
         return brdf.at(Pairs.from_directions(wi, wo)).double()
     parameter = next(brdf.parameters(), wi)
@@ -214,7 +215,7 @@ def _values(brdf: Lobe | Measured, wi: Tensor, wo: Tensor) -> Tensor:
     if found.dim() > 3:
         raise ShapeError(f"check: expected a lobe with at most one leading dimension, found values {(*found.shape,)}")
     found = found if found.dim() == 3 else found[None]
-    return found.expand(*found.shape[:2], 3)
+    return found.expand(*found.shape[:2], channels_of(brdf))
 
 
 def _half_vectors() -> tuple[Tensor, Tensor]:

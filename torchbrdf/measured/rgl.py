@@ -5,18 +5,20 @@ doi:10.1145/3272127.3275059; the database is at https://rgl.epfl.ch/materials.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.bands import check_same_bands
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, padded_pairs, reopened
 from torchbrdf.measured.grid import chunks, interpolate, nearest_rows, nearest_valid, neighbours, weighted_rows
+from torchbrdf.measured.rgl_spectra import SETTINGS, material_name, stored
 from torchbrdf.measured.tensor_file import MAGIC, TensorFile
 from torchbrdf.measured.warp import Warp
 from torchbrdf.pairs import Pairs
@@ -38,13 +40,11 @@ class RglFile:
 
     theta_i is the elevation of wi, on a few angles; of wo the file knows the half vector, in coordinates
     u = (sqrt(2 theta_h / pi), (phi_h - phi_i + pi) / 2pi), spread evenly by the warp of `vndf`, the density of visible
-    normals. `spectrum` lies on a grid of the evened coordinates, `(T, R, R, 3)`.
+    normals. `spectrum` lies on a grid of the evened coordinates, `(T, R, R, C)`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, told: Mapping[str, str] | None = None) -> None:
         file = TensorFile(path)
-        if "rgb" not in file.fields and "spectra" in file.fields:
-            raise DataError(f"{path}: expected the field 'rgb', found 'spectra'; take the database's _rgb file")
         directions = file.fields["phi_i"].shape if "phi_i" in file.fields else (1,)
         if directions != (1,):
             raise DataError(f"{path}: expected an isotropic material (one phi_i), found phi_i {directions}")
@@ -54,13 +54,14 @@ class RglFile:
             found = ", ".join(f"{angle:.4g}" for angle in theta[:8].tolist()) + (", ..." if size > 8 else "")
             raise DataError(f"{path}: theta_i: expected angles that grow from 0 to pi/2, found {found}")
         density = self._density(file, "vndf", [1, size, None, None])[0]
-        spectrum = file.array("rgb", [1, size, 3, None, None])[0]
+        values, self.wavelengths, self.colors = stored(file, 1, size, told or {})
+        spectrum = values[0]
         if min(spectrum.shape[2:]) < 2:
-            raise DataError(f"{path}: rgb: expected a grid of 2 x 2 or more, found {spectrum.shape[2:]}")
+            raise DataError(f"{path}: values: expected a grid of 2 x 2 or more, found {spectrum.shape[2:]}")
         with np.errstate(invalid="ignore"):
             self.finite = (np.abs(spectrum) <= LARGEST_STORED).all(1)
         if not self.finite.any():
-            raise DataError(f"{path}: rgb: no finite value of at most {LARGEST_STORED:g}")
+            raise DataError(f"{path}: values: no finite value of at most {LARGEST_STORED:g}")
         self.theta = torch.from_numpy(theta)
         self.warp = Warp(torch.from_numpy(density))
         self.spectrum = torch.from_numpy(np.where(self.finite[..., None], np.moveaxis(spectrum, 1, -1), 0))
@@ -89,7 +90,7 @@ class RglFile:
         return bilinear(self.normals, x, y) / (4 * visible * cos_o.clamp_min(LOWEST))
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """wi and wo `(n, 3)`, f `(n, 3)` and validity `(n,)` where f was measured: every theta_i, every grid node."""
+        """wi and wo `(n, 3)`, f `(n, C)` and validity `(n,)` where f was measured: every theta_i, every grid node."""
         height, width = self.spectrum.shape[1:3]
         u, v = (torch.linspace(0, 1, size, dtype=torch.float64, device="cpu") for size in (width, height))
         x, y = self.warp.sample(u, v).flatten(1, 2).unbind(-1)
@@ -108,9 +109,10 @@ class RglFile:
 
 @FORMATS.register("rgl")
 class Rgl(BrdfFormat):
-    """The format of RGL's `.bsdf` files, isotropic, RGB.
+    """The format of RGL's `.bsdf` files, isotropic, RGB or spectral.
 
-    A name is the file's without `_rgb`, which tells it from the spectral file.
+    A name is the file's without `_rgb` or `_spec`, by which the files of one material differ. Spectra become linear RGB
+    unless bands are kept.
 
     `pairs` are the directions of every measured value, wi at the file's theta_i, `(M, N)`; shorter files are padded
     with weight 0, as are directions below the horizon (what the file says there is extrapolated, and that it is so
@@ -122,18 +124,23 @@ class Rgl(BrdfFormat):
     """
 
     format = "rgl"
+    settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
     suffixes = (".bsdf",)
+    is_text = False
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self.paths = list(paths)
-        self.names = [path.stem.removesuffix("_rgb") for path in paths]
-        self._files = [RglFile(path) for path in paths]
+    def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
+        self.paths, self.told = list(paths), dict(settings or {})
+        self.names = [material_name(path.stem) for path in paths]
+        self._files = [RglFile(path, self.told) for path in paths]
+        first = self._files[0]
+        self.channels, self.wavelengths = first.spectrum.shape[-1], first.wavelengths
+        check_same_bands(paths, [(file.spectrum.shape[-1], file.wavelengths) for file in self._files])
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as the paths of its files."""
-        return reopened(self)
+        return reopened(self, self.told)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -141,13 +148,13 @@ class Rgl(BrdfFormat):
         return head.startswith(MAGIC)
 
     @classmethod
-    def open(cls, paths: Sequence[Path]) -> "Rgl":
-        """Read and check files; DataError for anything that is not an isotropic RGB measurement."""
-        return cls(paths)
+    def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "Rgl":
+        """Read and check files; DataError for anything that is not an isotropic measurement."""
+        return cls(paths, settings)
 
     @cached_property
     def _samples(self) -> tuple[Pairs, Tensor, Tensor]:
-        """Pairs `(M, N)`, values `(M, N, 3)` and weights `(M, N, 1)`."""
+        """Pairs `(M, N)`, values `(M, N, C)` and weights `(M, N, 1)`."""
         files = [file.samples() for file in self._files]
         wi, wo, *others = (list(part) for part in zip(*files, strict=True))
         values, valid = (torch.nn.utils.rnn.pad_sequence(part, batch_first=True) for part in others)
@@ -168,7 +175,7 @@ class Rgl(BrdfFormat):
 
         wi takes the place of the file's incident direction; a measurement is not exactly reciprocal.
         """
-        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), self.channels))
         filled = torch.zeros(len(materials), dtype=torch.int64, device=pairs.device)
         for part, chunk in chunks(pairs):
             for row, material in enumerate(materials):
@@ -189,7 +196,7 @@ class Rgl(BrdfFormat):
                 if missing.any():
                     centre = nearest_rows([axis[missing] for axis in position], shape).cpu().numpy()
                     entries = torch.from_numpy(self._nearest_finite(material)[centre]).to(pairs.device)
-                    found[missing] = table[entries, :3]
+                    found[missing] = table[entries, :-1]
                     filled[row] += missing.sum()
                 found = found * file.factor(theta_i, x, y, cos_o)[:, None]
                 values[row, part] = torch.where(above[:, None], found, 0)
@@ -201,6 +208,10 @@ class Rgl(BrdfFormat):
         table = torch.cat([file.spectrum, finite], -1).flatten(0, 2)
         return file.warp.cells().to(device, dtype), table.to(device, dtype)
 
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what became of its colours."""
+        return super().reading(material) | {"colours": self._files[material].colors}
+
     def is_whole(self, material: int) -> bool:
         """Whether every stored value is a finite one: other readers do not pass over those that are none."""
         return bool(self._files[material].finite.all())
@@ -211,6 +222,7 @@ class Rgl(BrdfFormat):
         negative = (values[material] < 0).any(-1) & (weight[material, :, 0] > 0)
         stored = self._files[material].spectrum
         return {
+            "colours": self._files[material].colors,
             "samples with a negative channel": int(negative.sum()),
             "share of stored values that are negative": (stored < 0).double().mean((0, 1, 2)).tolist(),
         }

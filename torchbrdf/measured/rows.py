@@ -35,20 +35,21 @@ def head_lines(path: Path, head: bytes) -> list[str]:
         path: The file.
         head: Its first bytes, by which most files that are no text are told without opening them.
     """
-    if not _is_text(head):
+    if not is_text(head):
         return []
     try:
         with path.open("rb") as file:
             start = file.read(HEAD)
     except OSError:
         return []
-    if not _is_text(start):
+    if not is_text(start):
         return []
     text = start.decode("utf-8", "replace").removeprefix("\ufeff")
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _is_text(data: bytes) -> bool:
+def is_text(data: bytes) -> bool:
+    """Whether the first bytes of a file are those of a text."""
     return bool(data) and b"\0" not in data and not data.startswith((b"PK", b"\x1f\x8b"))
 
 

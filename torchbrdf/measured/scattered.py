@@ -159,7 +159,8 @@ class Surface:
         self._heights = _heights(lobes[some], mean[some], self.scale)
         off = self._compressed(mean) - self._compressed(lobes @ self._heights)
         self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
-        self._rest = torch.from_numpy(off - self._along(places.angles.theta_h))
+        self.rest = off - self._along(places.angles.theta_h)
+        self._rest = torch.from_numpy(self.rest)
 
     def _compressed(self, values: np.ndarray) -> np.ndarray:
         found: np.ndarray = np.arcsinh(values / (2 * self.scale))

@@ -2,16 +2,26 @@
 
 import importlib.resources
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
+from torchbrdf.measured.bands import (
+    BANDS,
+    DEFAULT_ILLUMINANT,
+    ILLUMINANTS,
+    KEEP,
+    bands_in_words,
+    check_same_bands,
+    colors_label,
+)
+from torchbrdf.measured.colors import weights_of
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.merl import bin_centers
@@ -41,22 +51,37 @@ class StandIn(BrdfFormat):
     """
 
     format = "fits"
+    settings: ClassVar[Mapping[str, tuple[str, ...]]] = {"bands": BANDS, "illuminant": ILLUMINANTS}
     stand_in = True
+    is_sampled = False
     on_merl_bins = True
 
-    def __init__(self, records: list[FitRecord], paths: Sequence[Path]) -> None:
-        self.records = records
+    def __init__(
+        self, records: list[FitRecord], paths: Sequence[Path], settings: Mapping[str, str] | None = None
+    ) -> None:
+        self.records, self.told = records, dict(settings or {})
         self.paths = list(paths)
         materials = [record.material for record in records]
         self.names = [
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
         self.pairs = bin_centers()
+        if self.told.get("bands") == KEEP:
+            self._keep_bands()
+        for record in records:
+            self._weights(record)  # says if there are none
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
+
+    def _keep_bands(self) -> None:
+        """Take the channels that all records have."""
+        first = self.records[0]
+        self.channels, lengths = first.channels, first.wavelengths
+        self.wavelengths = None if lengths is None else tuple(lengths)
+        check_same_bands(self.names, [_bands_of(record) for record in self.records])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records."""
-        return StandIn, (self.records, self.paths)
+        return StandIn, (self.records, self.paths, self.told)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -64,7 +89,7 @@ class StandIn(BrdfFormat):
         return b"".join(head.split()).startswith(b"[{")
 
     @classmethod
-    def open(cls, paths: Sequence[Path]) -> "StandIn":
+    def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "StandIn":
         """Read records of fits; a DataError says what is wrong with which."""
         records: list[FitRecord] = []
         origin: list[Path] = []
@@ -76,7 +101,7 @@ class StandIn(BrdfFormat):
                     warnings.warn(f"{path}: {record.material}: {failed}", FailedFitWarning, stacklevel=2)
             records += found
             origin += [path] * len(found)
-        return cls(records, origin)
+        return cls(records, origin, settings)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values of models on some bins, float64, and weights 1."""
@@ -85,13 +110,17 @@ class StandIn(BrdfFormat):
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values of models at any pairs; there is nothing to interpolate."""
-        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), self.channels))
         with torch.no_grad():
-            for rows, model in self._models(tuple(materials), pairs.dtype, pairs.device):
+            for rows, model, colors in self._models(tuple(materials), pairs.dtype, pairs.device):
                 for part, chunk in chunks(pairs):
-                    own = chunk if pairs.shape[0] == 1 else chunk.select(rows)
-                    values[rows, part] = model(own)
+                    found = model(chunk if pairs.shape[0] == 1 else chunk.select(rows))
+                    values[rows, part] = found if colors is None else found @ colors
         return Lookup(values, torch.zeros(len(materials), dtype=torch.int64, device=pairs.device))
+
+    def reading(self, material: int) -> dict[str, object]:
+        """How the file was read: also what became of the bands of a fit."""
+        return super().reading(material) | self._colors_of(self.records[material])
 
     def details(self, material: int) -> dict[str, object]:
         """The model, what it is a model of where that is said, and how far its pictures are from the material's."""
@@ -99,22 +128,55 @@ class StandIn(BrdfFormat):
         source = record.extra.get("source")
         facts: dict[str, object] = {"model": record.model, "lobes": record.lobes}
         facts |= {"model of": one_line(source)} if isinstance(source, str) else {}
+        facts |= self._colors_of(record)
         facts |= {"status": record.status} if record.status not in ("", Status.CONVERGED) else {}
         facts |= {f"{key} of {scene}": value for scene, own in record.pictures.items() for key, value in own.items()}
+        facts |= {"read from": dict(record.reading)} if record.reading else {}
         return facts | {"parameters": dict(record.parameters)}
 
     def _batched(
         self, materials: tuple[int, ...], dtype: torch.dtype, device: torch.device
-    ) -> list[tuple[list[int], Sum]]:
-        """Batched models, one for each kind of model, and which of `materials` they are."""
-        kinds: dict[tuple[str, int], list[int]] = {}
+    ) -> list[tuple[list[int], Sum, Tensor | None]]:
+        """Batched models, one for each kind of model; which of `materials` they are; what makes RGB of their bands."""
+        kinds: dict[tuple[object, ...], list[int]] = {}
         for row, material in enumerate(materials):
             record = self.records[material]
-            kinds.setdefault((record.model, record.lobes), []).append(row)
-        return [
-            (rows, model_of([self.records[materials[row]] for row in rows], torch.float32).to(device, dtype))
-            for rows in kinds.values()
-        ]
+            kinds.setdefault((record.model, record.lobes, *_bands_of(record)), []).append(row)
+        found = []
+        for rows in kinds.values():
+            own = [self.records[materials[row]] for row in rows]
+            colors = self._weights(own[0])
+            model = model_of(own, torch.float32).to(device, dtype)
+            found.append((rows, model, None if colors is None else colors.to(device, dtype)))
+        return found
+
+    def _weights(self, record: FitRecord) -> Tensor | None:
+        """What makes RGB of a record's bands; None where values are to stay what they are."""
+        if is_rgb(record) or self.told.get("bands") == KEEP:
+            return None
+        return weights_of(*_bands_of(record), self._illuminant, record.material)
+
+    @property
+    def _illuminant(self) -> str:
+        return self.told.get("illuminant", DEFAULT_ILLUMINANT)
+
+    def _colors_of(self, record: FitRecord) -> dict[str, object]:
+        """The bands of a record, and what became of them."""
+        if is_rgb(record):
+            return {}
+        said: dict[str, object] = {"bands": bands_in_words(*_bands_of(record))}
+        if self.told.get("bands") != KEEP and (record.wavelengths or record.channels == 1):
+            said["colours"] = colors_label(record.wavelengths or [0.0], self._illuminant)
+        return said
+
+
+def is_rgb(record: FitRecord) -> bool:
+    """Whether a fit is one of linear RGB."""
+    return record.channels == 3 and record.wavelengths is None
+
+
+def _bands_of(record: FitRecord) -> tuple[int, tuple[float, ...] | None]:
+    return record.channels, None if record.wavelengths is None else tuple(record.wavelengths)
 
 
 def standins() -> Path:

@@ -1,4 +1,4 @@
-"""What scattered samples are like: angles covered, what is missing or below 0, noise and reciprocity."""
+"""What scattered samples are like: angles covered, what is missing or below 0, and reciprocity."""
 
 import numpy as np
 
@@ -6,6 +6,8 @@ from torchbrdf.measured.scattered import tree_of
 
 # Degrees within which two samples are at the same directions, and angles of a light the same.
 _SAME, _STEP = 0.05, 0.1
+# Degrees within which directions are the same ones again; a share of the value that is rounding.
+_REPEATED, _ROUNDING = 1e-3, 1e-5
 # A list of angles that is longer is said by its ends.
 _FEW = 12
 
@@ -40,10 +42,34 @@ def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarra
         one[:, 2] *= np.sin(np.radians(np.minimum(arm, theta_i)))
     level = np.abs(known.mean(-1))
     facts |= _spread("reciprocity error", here, there, known, level, theta_i < theta_o - _STEP)
-    sides = np.stack([theta_i, theta_o, turn * np.sin(np.radians(np.minimum(theta_i, theta_o)))], -1)
-    mirrored = sides * [1, 1, -1]
-    facts |= _spread("noise, by mirrored samples", sides, mirrored, known, level, (turn > 1) & (turn < 179))
     return facts
+
+
+def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
+    """What there is to say of samples at the same directions with other values; "" where there are none.
+
+    Args:
+        wi: Unit vectors to the light, `(N, 3)`.
+        wo: Those to the viewer.
+        values: There, `(N, C)`.
+    """
+    places = np.concatenate([wi, wo], 1) / np.radians(_REPEATED)
+    _, own, count = np.unique(np.round(places).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    own = own.reshape(-1)
+    several = count > 1
+    if not several.any():
+        return ""
+    level = np.abs(np.stack([np.bincount(own, channel) / count for channel in values.T], -1)).max(1)
+    ends = np.full((2, len(count), values.shape[1]), np.inf)
+    for end, sign in zip(ends, (1, -1), strict=True):
+        np.minimum.at(end, own, sign * values)
+    apart = (-ends[1] - ends[0]).max(1) / np.maximum(level, 1e-30)
+    other = several & (apart > _ROUNDING)
+    if not other.any():
+        return ""
+    half, most = (100 * float(one(apart[other])) for one in (np.median, np.max))
+    size = f"half of them {half:.2g} % apart or more, at most {most:.2g} %"
+    return f"{int(count[other].sum())} samples at {int(other.sum())} places, {size}; interpolated by their means"
 
 
 def _spread(

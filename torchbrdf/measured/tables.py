@@ -5,8 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import UsageError, shown
+from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.lobes import Lobe
+from torchbrdf.lobes.base import RGB
+from torchbrdf.lobes.in_bands import channels_of
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.measured import Measured
 from torchbrdf.pairs import Pairs
@@ -32,8 +34,10 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
 
     Raises:
         UsageError: It is neither, or several materials.
+        DataError: Its values are bands, and not linear RGB.
     """
     check_single(brdf)
+    check_rgb(brdf, "a table")
     found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
     own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
     device = None if own is None else own.device
@@ -41,6 +45,23 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
         value = brdf.at(chunk)[0] if isinstance(brdf, Measured) else brdf(chunk)[0]
         found[part] = torch.where(chunk.above_horizon[0, :, None] & value.isfinite(), value, 0).to(found)
     return found
+
+
+def check_rgb(brdf: Brdf, who: str) -> None:
+    """Refuse bands where linear RGB is needed.
+
+    Args:
+        brdf: A lobe, or measured materials.
+        who: Needs it, for the message.
+
+    Raises:
+        DataError: Values are bands.
+    """
+    if isinstance(brdf, Measured):
+        brdf.check_rgb(who)
+    elif channels_of(brdf) != RGB:
+        found = f"a lobe of {channels_of(brdf)} channels"
+        raise DataError(f"{who}: expected linear RGB, found {found}; give its FitRecord, or its fits.json")
 
 
 def check_single(brdf: Brdf) -> None:
@@ -113,9 +134,7 @@ def measured_up_to(brdf: Brdf) -> Reach:
     share = known / every.clamp_min(1)
     mostly = valid & (2 * share >= share.max())[ring]
     last = farther[mostly].max() if mostly.any() else torch.zeros_like(farther[0])
-    found = Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
-    # A table has no value where either angle is beyond, so that one angle says all of it.
-    return found if brdf.is_scattered else Reach(found.both, found.both)
+    return Reach(*(float(torch.minimum(last, own[valid].max())) for own in (theta_i, theta_o)))
 
 
 def angle_from_normal(cosine: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.measured import Measured
+from torchbrdf.measured.tables import check_rgb
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
 from torchbrdf.precision import undisturbed
@@ -47,6 +48,7 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
 
     Raises:
         UsageError: There is no BRDF.
+        DataError: Values are bands, and not linear RGB.
 
     Example:
         >>> from torchbrdf.lobes import Lambert
@@ -169,6 +171,8 @@ def _shaders(brdf: Brdf) -> list[list[Shader]]:
 
     A batched lobe is taken apart, because the values of many materials at once would not fit a processor's cache.
     """
+    if isinstance(brdf, Lobe | Measured):
+        check_rgb(brdf, "render")
     if isinstance(brdf, Measured):
         rows = range(len(brdf))
         return [[brdf.batch(rows[start : start + _TABLES]).at] for start in rows[::_TABLES]]

@@ -130,6 +130,7 @@ class RenderedLoss(ImageLoss):
         """The scene's pairs, and the measured values there."""
         if subset is not None:
             raise UsageError(f"{self.registered_name}: a picture has no subsets of pairs")
+        measured.check_rgb(self.registered_name)
         pairs = self.pairs.to(measured.device, measured.dtype)
         return Problem(pairs, measured.reciprocal_at(pairs).to(measured.device, measured.dtype))
 

@@ -119,6 +119,7 @@ def entry(one: Finished, target: str) -> dict[str, Any]:
         "model": record.model,
         "lobes": record.lobes,
         "parameters": record.parameters,
+        "read_from": record.reading,
         "loss": record.loss,
         "strategy": record.strategy,
         "label": one.chosen.candidate.label,

@@ -16,6 +16,7 @@ from torchbrdf.fitting.known import KnownMaterials
 from torchbrdf.lobes import FitRecord
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.scattered import NEIGHBOURS
 from torchbrdf.measured.tables import measured_up_to
 from torchbrdf.parallel import thread_map
 from torchbrdf.progress import Progress, part_of, quiet
@@ -216,6 +217,9 @@ def _entries(
                     both = f"{taken[name]} and {_path(one) or 'another'}"
                     raise DataError(f"{name}: comes twice, in {both}; give each file a name of its own")
                 taken[name] = _path(one) or "one measurement"
+                one.check_rgb("match")
+                if one.is_scattered and (count := int((one.weight > 0).sum())) < NEIGHBOURS:
+                    raise DataError(f"{name}: expected {NEIGHBOURS} valid samples or more, found {count}")
                 # Views of their own, as each keeps all of its pairs.
                 known.check(name, one.batch())
                 match = Match(name, Judge(one, scenes), reach=measured_up_to(one.batch()).both)

@@ -32,6 +32,8 @@ class Resampled(Samples):
         pairs: Those bins, `(1, N)`.
     """
 
+    is_sampled = False
+
     def __init__(self, measured: Measured, pairs: Pairs) -> None:
         super().__init__(pairs, measured.reciprocal_at(pairs), None, measured.names)
         self.measured = measured
@@ -39,6 +41,10 @@ class Resampled(Samples):
     def select(self, materials: list[int]) -> "Resampled":
         """Some materials."""
         return Resampled(self.measured.batch(materials), self.pairs)
+
+    def reading(self, material: int) -> dict[str, object]:
+        """As the measurement has it."""
+        return self.measured.source.reading(self.measured.materials[material])
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """As the measurement has it."""

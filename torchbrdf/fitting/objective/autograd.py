@@ -31,7 +31,7 @@ class AutogradObjective(FitObjective):
         return BoundAutograd(self, parametrization, values, self.material_indices if materials is None else materials)
 
     def value(self, prediction: Tensor, problem: Problem) -> Tensor:
-        """The value of predictions `(m, N, 3)` on some materials of the problem, `(m,)`, float64."""
+        """The value of predictions `(m, N, C)` on some materials of the problem, `(m,)`, float64."""
         error = self.loss.error(prediction, problem.target, problem.pairs, problem.weight).double()
         return error.square() if self.loss.is_root else error
 

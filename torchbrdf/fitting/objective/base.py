@@ -91,15 +91,15 @@ class GaussNewtonObjective(FitObjective):
     @property
     @abstractmethod
     def target(self) -> Tensor:
-        """The values, or what is observed of them, that a fit aims at, `(M, 3, P)`, float64."""
+        """The values, or what is observed of them, that a fit aims at, `(M, C, P)`, float64."""
 
     @abstractmethod
     def observe(self, responses: Tensor) -> Tensor:
-        """Scalar functions of the pairs `(K, N)` as each channel sees them, `(3|1, K, P)`, float64."""
+        """Scalar functions of the pairs `(K, N)` as each channel sees them, `(C|1, K, P)`, float64."""
 
     @abstractmethod
     def curvature_at(self, prediction: Tensor) -> Tensor:
-        """The curvature of the loss by each value, or observation, of `prediction`, `(M, 3, P)`; `(M|1, 3|1, P)`."""
+        """The curvature of the loss by each value, or observation, of `prediction`, `(M, C, P)`; `(M|1, C|1, P)`."""
 
     @abstractmethod
     def evaluate(

@@ -87,13 +87,13 @@ class BinnedObjective(PointwiseObjective):
 
     @cached_property
     def _exposure(self) -> Tensor:
-        """What makes of a response its x, times the weight of each pair, `(M|1, 1|3, N)`."""
+        """What makes of a response its x, times the weight of each pair, `(M|1, 1|C, N)`."""
         exposure = self.loss.scale * cosines(self.problem.pairs)
         weight = self.problem.weight
         return (exposure if weight is None else exposure * weight).mT
 
     def _binned(self, samples: slice, rows: Tensor | None, responses: Tensor) -> Tensor:
-        """Sums of responses `(m, Q, n)`, as x, in the bins, `(m, 1|3, Q, B)`."""
+        """Sums of responses `(m, Q, n)`, as x, in the bins, `(m, 1|C, Q, B)`."""
         columns = self._columns(samples)
         columns = columns if rows is None or len(columns) == 1 else columns[rows]
         if len(columns) == 1 and columns.shape[1] == 1:
@@ -101,7 +101,7 @@ class BinnedObjective(PointwiseObjective):
         return (responses[:, None] @ columns).double()
 
     def _columns(self, samples: slice | Tensor) -> Tensor:
-        """What sums in bins are, as a matrix of some pairs, `(M|1, 1|3, n, B)`."""
+        """What sums in bins are, as a matrix of some pairs, `(M|1, 1|C, n, B)`."""
         return self._exposure[..., samples, None] * self.comparison.bins.shares[:, None, samples]
 
     def _with_bins(self, sums: Sums, responses: Tensor, factors: Factors, rows: Tensor | None) -> Sums:
@@ -110,7 +110,7 @@ class BinnedObjective(PointwiseObjective):
             pairs, groups = self.problem.pairs, factors.layout.groups
             own = [
                 factors.on(pairs.select(samples=part)) @ self._columns(part).to(torch.float64) for part in groups
-            ]  # (M|1, 1|3, J, B) of each group
+            ]  # (M|1, 1|C, J, B) of each group
             self._factor_bins[factors] = torch.stack(own, 2).flatten(2, 3)
         columns = self._factor_bins[factors]
         columns = columns if rows is None or len(columns) == 1 else columns[rows]
@@ -134,7 +134,7 @@ class BinnedObjective(PointwiseObjective):
         comparison, target = self._comparison(rows), self.target_code
         binned = sums.binned
         assert binned is not None
-        responses = (binned / comparison.bins.mass[:, :, None]).expand(-1, 3, -1, -1)  # (m, 3, Q, B)
+        responses = (binned / comparison.bins.mass[:, :, None]).expand(-1, albedos.shape[1], -1, -1)  # (m, C, Q, B)
         components = responses[:, :, responses.shape[2] - albedos.shape[2] :]
         averages = torch.einsum("rck,rckb->rcb", albedos.double(), components)
         slopes = torch.einsum("rcqb,rcqp->rcbp", responses[:, :, : jacobian.shape[2]], jacobian)

@@ -31,8 +31,8 @@ LEAST_PAIRS = 8
 class Sums(NamedTuple):
     """What a pass over the pairs adds up for m problems, float64.
 
-    value: `(m,)`; slopes: by used responses, `(m, 3, Q)`; grams: `(m, 1|3, Q, Q)`, None: not asked for; binned: of all
-    responses, in what an objective gives as `columns`, `(m, 1|3, Q, B)`; None: it gives none.
+    value: `(m,)`; slopes: by used responses, `(m, C, Q)`; grams: `(m, 1|C, Q, Q)`, None: not asked for; binned: of all
+    responses, in what an objective gives as `columns`, `(m, 1|C, Q, B)`; None: it gives none.
     """
 
     value: Tensor
@@ -49,7 +49,7 @@ class Sums(NamedTuple):
         return Sums(self.value + other.value, self.slopes + other.slopes, grams, binned)
 
     def chained(self, jacobian: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, 3, Q, P)`."""
+        """Value, gradient and matrix (empty, if there is no curvature); jacobian: `(m, C, Q, P)`."""
         gradient = (self.slopes.flatten(1)[:, None] @ jacobian.flatten(1, 2))[:, 0]
         if self.grams is None:
             return self.value, gradient, gradient.new_empty(0)
@@ -112,7 +112,7 @@ class FactoredProblem:
         problem: whose pairs all materials share.
         loss: of single values.
         weight: of pairs, as `channels.effective_weight` gives it.
-        code: what is compared of targets, `(M, 3, N)`.
+        code: what is compared of targets, `(M, C, N)`.
         groups: of the pairs.
     """
 
@@ -156,7 +156,7 @@ class FactoredProblem:
     ) -> tuple[Sums, Tensor]:
         """What a pass adds up for m problems, and the responses as sums of the factors, `(m, Q, G J)`.
 
-        albedos: `(m, 3, terms)`; rows: of which material each is, None: all; width: `(m, 1, 1)`.
+        albedos: `(m, C, terms)`; rows: of which material each is, None: all; width: `(m, 1, 1)`.
         """
         problems, factors = len(albedos), self.factors(basis)
         responses = coefficients(basis, factors.probes, values, problems)
@@ -166,7 +166,7 @@ class FactoredProblem:
         value, slopes, products = self._pass(color, factors, rows, width, curvature)
         used = responses[:, : basis.used, :, : factors.active]
         flat = used.flatten(2)
-        slopes = slopes.unflatten(1, (problems, 3)).permute(1, 2, 0, 3).flatten(2)
+        slopes = slopes.unflatten(1, (problems, -1)).permute(1, 2, 0, 3).flatten(2)
         grams = None
         if products is not None:
             products = products[..., factors.index].unflatten(1, (problems, -1)).permute(1, 2, 0, 3, 4)
@@ -177,16 +177,17 @@ class FactoredProblem:
     def _pass(
         self, color: Tensor, factors: Factors, rows: Tensor | None, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Values `(m,)`, and by group slopes `(G, 3m, a)` and curvatures by products `(G, 3m, k)`, float64.
+        """Values `(m,)`, and by group slopes `(G, C m, a)` and curvatures by products `(G, C m, k)`, float64.
 
-        color: what factors are multiplied by, `(G, 3m, J)`.
+        color: what factors are multiplied by, `(G, C m, J)`.
         """
-        layout, problems, products = self.layout, color.shape[1] // 3, factors.products.shape[1]
+        layout, channels, products = self.layout, self.problem.target.shape[2], factors.products.shape[1]
+        problems = color.shape[1] // channels
         by_block, value = color[layout.group], color.new_zeros(problems, dtype=torch.float64)
-        slopes = color.new_empty(len(by_block), 3 * problems, factors.active)
-        grams = color.new_empty(len(by_block), 3 * problems if curvature else 0, products)
-        for part in layout.parts(problems):
-            work = self._work((part.stop - part.start, problems, 3, layout.size))
+        slopes = color.new_empty(len(by_block), color.shape[1], factors.active)
+        grams = color.new_empty(len(by_block), color.shape[1] if curvature else 0, products)
+        for part in layout.parts(color.shape[1]):
+            work = self._work((part.stop - part.start, problems, channels, layout.size))
             x = torch.bmm(by_block[part], factors.values[part], out=work[0].flatten(1, 2)).view_as(work[0])
             code, rate = self._compressed(x, part, work[1:3])
             difference = code.sub_(self._own(self.target[part], rows))
@@ -205,7 +206,7 @@ class FactoredProblem:
                 torch.bmm(curve.expand_as(x).flatten(1, 2), factors.products[part].mT, out=grams[part])
         if self.filled:  # with nothing: predictions and targets of 0
             nothing = color.new_zeros(1 if width is None else problems, 1, 1)
-            value -= 3 * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()
+            value -= channels * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()
         by_group = [
             color.new_zeros(len(color), *one.shape[1:], dtype=torch.float64).index_add_(0, layout.group, one.double())
             for one in (slopes, grams)
@@ -240,7 +241,7 @@ class FactoredProblem:
         return values if rows is None or values.shape[1] == 1 else values.index_select(1, rows)
 
     def _compressed(self, x: Tensor, part: slice | Tensor, spare: Tensor) -> tuple[Tensor, Tensor | None]:
-        """What is compared of values `(b, m, 3, size)`, exposed if the loss says how, and its derivative."""
+        """What is compared of values `(b, m, C, size)`, exposed if the loss says how, and its derivative."""
         if self.exposure is not None and self.works_in_place:
             return self.loss.compress_with_derivative(x, (spare[0], spare[1]))
         if self.exposure is not None:

@@ -23,15 +23,15 @@ from torchbrdf.losses import Loss, Problem
 class EncodedProblem:
     """A problem under a loss: targets encoded once, channels before pairs.
 
-    target: `(M, 3, N)`; weight: `(M|1, 1|3, N)` or None; total: the sum of weights over pairs and channels, `(M,)`;
+    target: `(M, C, N)`; weight: `(M|1, 1|C, N)` or None; total: the sum of weights over pairs and channels, `(M,)`;
     zero_penalty: the mean penalty of a prediction that is 0 everywhere, `(M,)`; target_scale: the mean of the encoded
     targets' magnitude, `(M,)`, 1 where that is 0 or there is no data, so that it can serve as a unit.
     """
 
     def __init__(self, problem: Problem, loss: Loss, weight: Tensor | None) -> None:
-        materials, count = problem.target.shape[:2]
+        materials, count, width = problem.target.shape
         self.weight = weight
-        self.target = problem.target.new_empty(materials, 3, count)
+        self.target = problem.target.new_empty(materials, width, count)
         sums = torch.zeros(3, materials, dtype=torch.float64, device=self.target.device)
         for part, pairs in chunked(problem.pairs, materials):
             own = problem.target[:, part].mT.contiguous()
@@ -39,10 +39,10 @@ class EncodedProblem:
             zero = loss.penalty(channels.encode(loss, torch.zeros_like(own), pairs) - encoded)
             self.target[..., part] = encoded
             counted = torch.ones_like(own[:1, :1]) if weight is None else weight[..., part]
-            counted = counted.expand(materials, 3, own.shape[2])
+            counted = counted.expand(materials, width, own.shape[2])
             sums += torch.stack([x.sum((1, 2)).double() for x in (counted, zero * counted, encoded.abs() * counted)])
-        self.total, zeros, size = sums
-        self.target_scale = torch.where(size > 0, size / self.total, 1)
+        self.total, zeros, magnitude = sums
+        self.target_scale = torch.where(magnitude > 0, magnitude / self.total, 1)
         self.zero_penalty = zeros / self.total
 
     def part(self, samples: slice, materials: Tensor | None) -> tuple[Tensor, Tensor | None]:
@@ -170,7 +170,7 @@ class PointwiseObjective(GaussNewtonObjective):
             slopes = torch.bmm(slope * rate, used.mT).double()
             found.append(Sums(penalty.sum((1, 2)).double(), slopes, grams, self._binned(part, rows, responses)))
         if not found:  # no pair at all
-            nothing = albedos.new_zeros(problems, 3, basis.used, basis.used, dtype=torch.float64)
+            nothing = albedos.new_zeros(problems, basis.channels, basis.used, basis.used, dtype=torch.float64)
             return Sums(nothing[:, 0, 0, 0], nothing[..., 0], nothing if curvature else None)
         total = found[0]
         for one in found[1:]:

@@ -30,7 +30,7 @@ class QuadraticObjective(GaussNewtonObjective):
 
     @cached_property
     def _reduced(self) -> tuple[Tensor, Tensor]:
-        """What makes S H of H, `(M, G, J, J)`, and z, `(M, 3, G J)`."""
+        """What makes S H of H, `(M, G, J, J)`, and z, `(M, C, G J)`."""
         own = self.statistics
         # In units in which all factors are of a size, as some are 1e6 times others towards the horizon.
         size = own.at_probes.abs().amax(2, keepdim=True).clamp_min(torch.finfo(own.gram.dtype).tiny)
