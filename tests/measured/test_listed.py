@@ -10,7 +10,7 @@ import tarfile
 import numpy as np
 import pytest
 import torch
-from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, zemax
+from helpers.listed_files import BANDS, COLOR, alta, angles, astm, bird, columns, cornell, fred, known, zemax
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, ShapeError, UsageError
@@ -20,7 +20,7 @@ from torchbrdf.measured import Measured, check, describe, load
 from torchbrdf.measured.bands import rgb_weights
 from torchbrdf.pairs import Pairs
 
-TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
+TEXTS = {"alta": alta, "astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "zemax": zemax}
 
 
 def written(folder, text, name="made-up.dat"):
@@ -51,7 +51,7 @@ def test_values_are_where_they_were_measured(name, tmp_path):
     assert measured.source.format == name
     scale = torch.tensor(COLOR @ rgb_weights(BANDS)) if name == "astm" else torch.tensor([COLOR[0]] * 3)
     scale = torch.ones(3, dtype=torch.float64) if name in ("cornell", "zemax") else scale
-    scale = torch.tensor(COLOR) if name == "columns" else scale
+    scale = torch.tensor(COLOR) if name in ("alta", "columns") else scale
     good = measured.weight[0, :, 0] > 0
     assert good.sum() > 100
     wanted = expected(measured)[:, None] * scale

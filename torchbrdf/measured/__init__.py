@@ -1,5 +1,6 @@
 """Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
 
+from torchbrdf.measured.alta import Alta
 from torchbrdf.measured.astm import Astm
 from torchbrdf.measured.bird import Bird
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
@@ -24,6 +25,7 @@ __all__ = [
     "MERL_NAMES",
     "MERL_SHA256",
     "PAPER_TEN",
+    "Alta",
     "Astm",
     "Bird",
     "BrdfFormat",

@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from helpers.listed_files import angles, astm, bird, columns, cornell, fred, zemax
+from helpers.listed_files import alta, angles, astm, bird, columns, cornell, fred, unit_vectors, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
@@ -32,6 +32,14 @@ def make_rgl(folder: Path) -> None:
 
 def make_astm(folder: Path) -> None:
     (folder / "fuzzed.astm").write_text(astm(angles(20)))
+
+
+def make_alta(folder: Path) -> None:
+    (folder / "fuzzed.alta").write_text(alta(angles(20), vs=1))
+
+
+def make_alta_binary(folder: Path) -> None:
+    (folder / "fuzzed.alta").write_bytes(alta(angles(20), name="CARTESIAN", place=unit_vectors, order="little"))
 
 
 def make_cornell(folder: Path) -> None:
@@ -145,6 +153,8 @@ def use_metric(path: Path) -> None:
 READERS = (
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("alta", "fuzzed.alta", make_alta, use_listed, (*TABLE, *TEXT), renamed=True),
+    Reader("alta-binary", "fuzzed.alta", make_alta_binary, use_listed, TEXT, renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
     Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
