@@ -160,3 +160,17 @@ def alta(rows=None, *, name="SPHERICAL_TL_PL_TV_PV", place=None, vs=0, out="RGB_
     head += ["#FORMAT binary", "#VERSION 0", "#PRECISION ieee754-double", f"#SAMPLE_COUNT {len(rows)}"]
     head += [f"#ENDIAN {order}", "#BEGIN_STREAM", ""]
     return "\n".join(head).encode() + table.astype("<f8" if order == "little" else ">f8").tobytes() + b"\n#END_STREAM\n"
+
+
+def openmaterial(rows=None, bands=BANDS, azimuth=0):
+    """Text of an OpenMATERIAL 3D table; `azimuth` is added to that of the viewer."""
+    rows = angles() if rows is None else rows
+    table = [
+        [band * 1e-9, np.radians(light), np.radians(polar), np.radians((turn - start + azimuth) % 360), value]
+        for k, band in enumerate(bands)
+        for (light, start, polar, turn), value in zip(rows, values(rows)[:, k], strict=True)
+    ]
+    meta = {"name": "made up", "openMaterial3dVersion": "1.0.0", "sources": "measurement"}
+    return json.dumps(
+        {"metadata": meta, "brdf": {"wavelengths": [1e-9 * band for band in bands], "lookupTable": table}}
+    )

@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from helpers.listed_files import alta, angles, astm, bird, columns, cornell, fred, unit_vectors, zemax
+from helpers.listed_files import alta, angles, astm, bird, columns, cornell, fred, openmaterial, unit_vectors, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
@@ -40,6 +40,10 @@ def make_alta(folder: Path) -> None:
 
 def make_alta_binary(folder: Path) -> None:
     (folder / "fuzzed.alta").write_bytes(alta(angles(20), name="CARTESIAN", place=unit_vectors, order="little"))
+
+
+def make_openmaterial(folder: Path) -> None:
+    (folder / "fuzzed.xompt").write_text(openmaterial(angles(30)))
 
 
 def make_cornell(folder: Path) -> None:
@@ -160,6 +164,7 @@ READERS = (
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
+    Reader("openmaterial", "fuzzed.xompt", make_openmaterial, use_listed, (*JSON, *TEXT), renamed=True),
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
