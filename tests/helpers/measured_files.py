@@ -109,3 +109,23 @@ def read_bsdf(path: Path):
         where += length + 13 + 8 * dims
         fields[name] = np.frombuffer(data, "<" + names[kind], math.prod(shape), offset).reshape(shape)
     return fields
+
+
+def brushed(wi, wo):
+    """An anisotropic, reciprocal BRDF of directions `(..., 3)`: a grain along x, on grey; `(...)`."""
+    h = wi + wo
+    h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
+    slope = (h[..., :2] / np.maximum(h[..., 2:], 1e-6)) / [0.5, 0.2]
+    return 0.1 + np.exp(-np.square(slope).sum(-1))
+
+
+def utia_directions():
+    """Light and viewer of UTIA's tables, `(6, 48, 6, 48, 3)`."""
+    t_i, p_i, t_o, p_o = np.radians(np.meshgrid(*2 * [np.arange(6) * 15.0, np.arange(48) * 7.5], indexing="ij"))
+    pairs = ((t_i, p_i), (t_o, p_o))
+    return [np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1) for t, p in pairs]
+
+
+def utia(color=(1.0, 0.5, 0.25), brdf=brushed):
+    """The doubles of a UTIA table, `(3, 6, 48, 6, 48)`."""
+    return np.multiply.outer(np.array(color), brdf(*utia_directions()))

@@ -19,6 +19,7 @@ from torchbrdf.measured.plausibility import Plausibility, check, directional_alb
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.utia import Utia
 from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "Rgl",
     "Samples",
     "StandIn",
+    "Utia",
     "Zemax",
     "check",
     "contrast_gloss",

@@ -9,13 +9,13 @@ import torch
 from torchbrdf.errors import DataError
 from torchbrdf.lobes.zoo import is_zoo
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
-from torchbrdf.measured.listed import ListedFormat
 from torchbrdf.measured.load import load
 from torchbrdf.measured.measured import Measured
 from torchbrdf.measured.plausibility import directional_albedo
 
 FURNACE = (0.0, 60.0)
-"""Angles of the light, in degrees, at which it is said how much of it scattered samples reflect, in any channel."""
+"""Angles of the light, in degrees, at which it is said how much of it is reflected, in any channel, where readers have
+to take something that files do not say."""
 
 
 def describe(path: str | Path, settings: Mapping[str, str] | None = None) -> dict[str, object]:
@@ -56,7 +56,7 @@ def _material(measured: Measured) -> dict[str, object]:
         "contrast gloss": _finite(contrast_gloss(measured)[0].item()),
     }
     facts |= measured.source.details(measured.materials[0])
-    if isinstance(measured.source, ListedFormat):
+    if measured.source.settings:  # by which it can be told whether what was taken is right
         albedo = directional_albedo(measured, FURNACE)[0].amax(-1).tolist()
         facts |= {
             f"white furnace: albedo at {angle:g} degrees": one for angle, one in zip(FURNACE, albedo, strict=True)

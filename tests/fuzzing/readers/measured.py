@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 from helpers.listed_files import alta, angles, astm, bird, columns, cornell, fred, openmaterial, unit_vectors, zemax
-from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
+from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, utia, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
 from fuzzing.changes.of_arrays import bsdf
@@ -44,6 +44,10 @@ def make_alta_binary(folder: Path) -> None:
 
 def make_openmaterial(folder: Path) -> None:
     (folder / "fuzzed.xompt").write_text(openmaterial(angles(30)))
+
+
+def make_utia(folder: Path) -> None:
+    (folder / "fuzzed.bin").write_bytes(utia().astype("<f8").tobytes())
 
 
 def make_cornell(folder: Path) -> None:
@@ -165,6 +169,7 @@ READERS = (
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
     Reader("openmaterial", "fuzzed.xompt", make_openmaterial, use_listed, (*JSON, *TEXT), renamed=True),
+    Reader("utia", "fuzzed.bin", make_utia, use_listed, (), share=0.3, renamed=True),
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
