@@ -14,6 +14,7 @@ from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.merl_table import merl_values
+from torchbrdf.measured.merl_variants import Merl360, Merl360Single, MerlSingle
 from torchbrdf.measured.openmaterial import OpenMaterial
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
@@ -37,6 +38,9 @@ __all__ = [
     "Lookup",
     "Measured",
     "Merl",
+    "Merl360",
+    "Merl360Single",
+    "MerlSingle",
     "OpenMaterial",
     "Plausibility",
     "Rgl",

@@ -59,14 +59,14 @@ class OpenMaterial(ListedFormat):
     """
 
     format = "openmaterial"
-    suffixes = (".xompt",)
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {**SETTINGS, "azimuth": ("light", "mirror")}
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether it is such a table, by the schema that it names, or the version of the standard."""
+        """Whether it is such a table, by the schema that it names, or by the standard's version and a BRDF."""
         start = " ".join(head_lines(path, head))
-        return start.startswith("{") and ("material_brdf_schema" in start or '"openMaterial3dVersion"' in start)
+        named = '"openMaterial3dVersion"' in start and '"brdf"' in start
+        return start.startswith("{") and ("schemas/material_brdf_schema" in start or named)
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
