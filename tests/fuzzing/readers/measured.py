@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 from helpers.listed_files import alta, angles, astm, bird, columns, cornell, fred, openmaterial, unit_vectors, zemax
-from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, utia, write_raw_merl
+from helpers.measured_files import anisotropic_bsdf, synthetic_bsdf, synthetic_raw, tensor_file, utia, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
 from fuzzing.changes.of_arrays import bsdf
@@ -34,6 +34,10 @@ def make_merl_single(folder: Path) -> None:
 
 def make_rgl(folder: Path) -> None:
     (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
+
+
+def make_rgl_anisotropic(folder: Path) -> None:
+    (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(anisotropic_bsdf(size=6, azimuths=5, angles=4)))
 
 
 def make_astm(folder: Path) -> None:
@@ -168,6 +172,7 @@ READERS = (
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
     Reader("merl_single", "fuzzed.binary", make_merl_single, use_measured, (merl,), share=0.1, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("rgl-anisotropic", "fuzzed_rgb.bsdf", make_rgl_anisotropic, use_measured, (bsdf, bsdf), renamed=True),
     Reader("alta", "fuzzed.alta", make_alta, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("alta-binary", "fuzzed.alta", make_alta_binary, use_listed, TEXT, renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
