@@ -218,10 +218,12 @@ def test_bad_files_are_refused(text, says, tmp_path):
     assert says in str(caught.value) and "made-up.dat" in str(caught.value)
 
 
-def test_anisotropic_samples_are_read_as_their_mean(tmp_path):
+def test_azimuths_of_isotropic_samples_are_read_as_their_mean(tmp_path):
     rows = np.concatenate([angles(), angles() + np.array([0, 90, 0, 90])])
-    facts = describe(written(tmp_path, astm(rows)))
-    assert facts["azimuths of the light"] == "2: read as isotropic, by the mean over them"
+    path = written(tmp_path, astm(rows))
+    said = describe(path)["azimuths of the light"]
+    assert said.startswith("2: samples are ") and said.endswith("; read as isotropic, by the mean over them")
+    assert not load(path).is_anisotropic
 
 
 def test_files_of_one_geometry_share_their_pairs(tmp_path):

@@ -17,6 +17,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.measured.angles import UNITS, direction
 from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, ILLUMINANTS, colors_label, rgb_weights
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
+from torchbrdf.measured.grain import GRAINS, Grain, grain_of
 from torchbrdf.measured.summary import summary
 from torchbrdf.pairs import Pairs
 
@@ -27,7 +28,12 @@ LEAST_COSINE = 1e-4
 LARGEST_VALUE = 1e8
 """Larger values, in 1/sr, are no reflectance."""
 QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
-SETTINGS: Mapping[str, tuple[str, ...]] = {"angles": UNITS, "illuminant": ILLUMINANTS, "quantity": QUANTITIES}
+SETTINGS: Mapping[str, tuple[str, ...]] = {
+    "angles": UNITS,
+    "grain": GRAINS,
+    "illuminant": ILLUMINANTS,
+    "quantity": QUANTITIES,
+}
 """What a reader may be told that a file does not say, and the values of each."""
 
 
@@ -64,6 +70,7 @@ class _Opened(NamedTuple):
     values: Tensor
     valid: Tensor
     facts: dict[str, object]
+    grain: Grain
 
 
 class ListedFormat(BrdfFormat):
@@ -84,6 +91,7 @@ class ListedFormat(BrdfFormat):
         self.names = [path.stem for path in paths]
         self.told = dict(settings or {})
         self._read = [self._opened(path) for path in paths]
+        self.is_anisotropic = any(one.grain.is_there for one in self._read)
 
     def _opened(self, path: Path) -> _Opened:
         listed = self.parse(path)
@@ -105,8 +113,9 @@ class ListedFormat(BrdfFormat):
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         values[~valid] = 0
+        grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), self.setting("grain", GRAINS[0]))
         toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
-        return _Opened(toward, seen, found, good, facts)
+        return _Opened(toward, seen, found, good, facts | grain.facts, grain)
 
     @classmethod
     def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "ListedFormat":
@@ -157,8 +166,12 @@ class ListedFormat(BrdfFormat):
 
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
-        wi, wo, values, valid, facts = self._read[material]
-        return {**facts, **summary(wi.numpy(), wo.numpy(), values.numpy(), valid.numpy())}
+        wi, wo, values, valid, facts, grain = self._read[material]
+        return {**facts, **summary(wi.numpy(), wo.numpy(), values.numpy(), valid.numpy(), grain.is_there)}
+
+    def has_grain(self, material: int) -> bool:
+        """Whether a material's samples are anisotropic."""
+        return self._read[material].grain.is_there
 
 
 _AS_IT_IS = "RGB as the file has it"

@@ -1,4 +1,4 @@
-"""Values between scattered samples of isotropic materials, and how far the nearest sample is.
+"""Values between scattered samples, and how far the nearest sample is.
 
 Light and viewer can change places, and what is mirrored at the plane of incidence is the same: so a pair of directions
 is a place in three coordinates, of the half and difference angles. A sum of lobes is fitted to the samples, of given
@@ -6,6 +6,9 @@ widths and with heights that are not negative. How far values are from it, compr
 about 0, for those slightly below), is a curve over theta_h and a rest, and the rest is interpolated by inverse
 distances (R. Franke and G. Nielson, Smooth Interpolation of Large Sets of Scattered Data, 1980,
 doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that are left out: benchmarks/scattered.py.
+
+Of anisotropic materials nothing is mirrored, and there are two azimuths more, of the half vector and of the difference
+of both directions: where light and viewer change places, half a turn of the latter. Only the rest knows them.
 """
 
 import math
@@ -43,16 +46,18 @@ def tree_of(points: np.ndarray) -> "KDTree":
 class Angles(NamedTuple):
     """Half and difference angles of n pairs, radians, and the product cos_i cos_o, `(n,)` each.
 
-    phi_d is folded to [0, pi/2], by reciprocity and by the mirror.
+    phi_d is folded to [0, pi/2], by reciprocity and by the mirror. `grain`, `(n, 4)`, has the unit vectors of the
+    azimuths of anisotropic materials: of the half vector, and of twice that of the difference.
     """
 
     theta_h: np.ndarray
     theta_d: np.ndarray
     phi_d: np.ndarray
     cosines: np.ndarray
+    grain: np.ndarray | None = None
 
     @classmethod
-    def of(cls, pairs: Pairs, row: int) -> "Angles":
+    def of(cls, pairs: Pairs, row: int, has_grain: bool = False) -> "Angles":
         """Of one material's pairs; every material's, where they share them."""
         own = pairs.select([row])
         theta_h, theta_d, cos_i, cos_o = (
@@ -62,7 +67,8 @@ class Angles(NamedTuple):
         sines = 2 * np.sin(theta_h) * np.sin(theta_d)
         along = np.abs(cos_i - cos_o) / np.where(sines > _TINY, sines, 1)
         cosines = np.maximum(cos_i, _LEAST) * np.maximum(cos_o, _LEAST)
-        return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines)
+        grain = _azimuths(*(part[0].double().cpu().numpy() for part in (own.wi, own.wo))) if has_grain else None
+        return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines, grain)
 
     def _arm(self) -> np.ndarray:
         """How far directions turn as phi_d does: about the half vector or about the normal, which is less."""
@@ -71,7 +77,9 @@ class Angles(NamedTuple):
         return found
 
     def places(self) -> np.ndarray:
-        """Where samples are interpolated, `(n, 3)`: fine about the lobe, and even where values are."""
+        """Where samples are interpolated, `(n, 3 or 5)`: fine about the lobe, and even where values are."""
+        if self.grain is not None:
+            return _with_azimuths(_HALF * np.sqrt(self.theta_h), self.theta_d, self.grain)
         around = self._arm() * np.cos(2 * self.phi_d) / 2
         return np.stack([_HALF * np.sqrt(self.theta_h), self.theta_d, around], -1)
 
@@ -92,9 +100,27 @@ class Angles(NamedTuple):
         return np.concatenate([np.ones_like(cos_h), visible, visible * rise], -1)
 
     def turned(self) -> np.ndarray:
-        """Where distances are those by which both directions turn, `(n, 3)`, degrees."""
+        """Where distances are those by which both directions turn, `(n, 3 or 5)`, degrees."""
+        if self.grain is not None:
+            return _with_azimuths(self.theta_h, self.theta_d, self.grain) * (180 / math.pi)
         found: np.ndarray = np.stack([self.theta_h, self.theta_d, self._arm() * self.phi_d], -1) * (180 / math.pi)
         return found
+
+
+def _azimuths(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """Unit vectors of the azimuth of the half vector and of twice that of the difference, `(n, 4)`; 0 where none is."""
+    parts = []
+    for flat in (wi[:, :2] + wo[:, :2], wi[:, :2] - wo[:, :2]):
+        length = np.hypot(flat[:, 0], flat[:, 1])
+        parts.append(flat / np.where(length > _TINY, length, 1)[:, None])
+    half, (cosine, sine) = parts[0], parts[1].T
+    return np.concatenate([half, np.stack([cosine**2 - sine**2, 2 * cosine * sine], -1)], -1)
+
+
+def _with_azimuths(half: np.ndarray, difference: np.ndarray, grain: np.ndarray) -> np.ndarray:
+    """Polar coordinates as places `(n, 5)`: steps along and across the difference have the lengths that they have."""
+    twice = (difference / 2)[:, None] * grain[:, 2:]
+    return np.concatenate([half[:, None] * grain[:, :2], (difference * (math.sqrt(3) / 2))[:, None], twice], -1)
 
 
 class Near(NamedTuple):
@@ -117,10 +143,13 @@ class Places:
         found = angles.places()
         steps = np.round(found / _SAME).astype(np.int64)
         steps -= steps.min(0)
-        key = np.ravel_multi_index(tuple(steps.T), tuple(steps.max(0) + 1))
+        key = np.ravel_multi_index(tuple(steps.T[:3]), tuple(steps.max(0)[:3] + 1))
+        for column in steps.T[3:]:  # all at once they would be too many
+            key = np.unique(key, return_inverse=True)[1] * (column.max() + 1) + column
         _, self.of_sample = np.unique(key, return_inverse=True)
         self.count = np.bincount(self.of_sample)
-        self.angles = Angles(*(self.mean(one) for one in angles))
+        self.has_grain = angles.grain is not None
+        self.angles = Angles(*(self.mean(one) for one in angles[:4]))
         self._tree = tree_of(np.stack([self.mean(axis) for axis in found.T], -1))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
