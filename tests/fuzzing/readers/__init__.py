@@ -48,7 +48,7 @@ def readers() -> dict[str, Reader]:
 # Without the imports that readers need, so that asking for names is quick.
 NAMES = (
     *("merl", "rgl", "alta", "alta-binary", "astm", "bird", "columns", "cornell", "fred", "openmaterial", "zemax"),
-    *("utia", "merl_single", "rgl-anisotropic", "fits", "standins", "continued", "metric"),
+    *("astm-grain", "utia", "merl_single", "rgl-anisotropic", "fits", "standins", "continued", "metric"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
     *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),

@@ -60,6 +60,17 @@ def make_utia(folder: Path) -> None:
     (folder / "fuzzed.bin").write_bytes(utia().astype("<f8").tobytes())
 
 
+def make_grain(folder: Path) -> None:
+    """Light from two azimuths, half as bright from one of them."""
+    first = astm(angles(20, (20, 50)))
+    start = first.index("VARS")
+    rows = [line.split(",") for line in first[start:].splitlines()[2:]]
+    turned = [[*row[:4], *(f"{float(value) / 2:.9g}" for value in row[4:])] for row in rows]
+    for row in turned:
+        row[1], row[3] = (f"{float(angle) + 1.5707963:.9g}" for angle in (row[1], row[3]))
+    (folder / "fuzzed.astm").write_text(first + "\n".join(",".join(row) for row in turned) + "\n")
+
+
 def make_cornell(folder: Path) -> None:
     (folder / "fuzzed.brdf").write_text(cornell(angles(20)))
 
@@ -176,6 +187,7 @@ READERS = (
     Reader("alta", "fuzzed.alta", make_alta, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("alta-binary", "fuzzed.alta", make_alta_binary, use_listed, TEXT, renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
+    Reader("astm-grain", "fuzzed.astm", make_grain, use_listed, (*TEXT, *TABLE), renamed=True),
     Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
