@@ -44,6 +44,8 @@ def test_a_known_brdf_comes_back(parts, tmp_path):
     wi, wo = wi[:, keep], wo[:, keep]
     off = (measured.at(Pairs.from_directions(wi, wo)) / known(wi, wo) - 1).abs()
     assert off.median() < 0.04 and off.quantile(0.95) < 0.2
+    far = measured.distance_at(Pairs.from_directions(wi, wo))[0]
+    assert far.median() < 6 and far.quantile(0.95) < 15
     # Not of a turned surface.
     turned = (
         torch.stack([-wi[..., 1], wi[..., 0], wi[..., 2]], -1),

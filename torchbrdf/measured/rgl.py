@@ -244,6 +244,21 @@ class Rgl(BrdfFormat):
         table = torch.cat([file.spectrum, finite], -1).flatten(0, -2)
         return file.warp.cells().to(device, dtype), table.to(device, dtype)
 
+    def has_grain(self, material: int) -> bool:
+        """Whether a material has several phi_i."""
+        return self._files[material].phi is not None
+
+    def distance_at(self, pairs: Pairs, materials: list[int]) -> Tensor:
+        """How far pairs are from the nearest valid sample, degrees: from what a part of a turn stands for, too."""
+        if not self.is_anisotropic:
+            return super().distance_at(pairs, materials)
+        found = []
+        for row, material in enumerate(materials):
+            own = pairs.select([row if pairs.shape[0] > 1 else 0])
+            wi, wo = _moved(own.wi[0], own.wo[0], self._files[material].parts)
+            found.append(super().distance_at(Pairs.from_directions(wi[None], wo[None]), [material]))
+        return torch.cat(found)
+
     def is_whole(self, material: int) -> bool:
         """Whether every stored value is a finite one: other readers do not pass over those that are none."""
         return bool(self._files[material].finite.all())
