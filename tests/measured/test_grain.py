@@ -119,6 +119,27 @@ def test_of_several_files_each_is_as_it_is(tmp_path):
     torch.testing.assert_close(both.at(asked)[1:], alone.at(asked))
 
 
+@pytest.mark.parametrize("left_out", [None, 20, 60])
+def test_a_brushed_metal_is_predicted(left_out, tmp_path):
+    """GGX with two widths and a slanted grain, taken at few incidences and at two turns only."""
+
+    def ggx(wi, wo):
+        cosine, sine = np.cos(0.5), np.sin(0.5)
+        h = wi + wo
+        h /= np.linalg.norm(h, axis=-1, keepdims=True)
+        along, across = cosine * h[..., 0] + sine * h[..., 1], cosine * h[..., 1] - sine * h[..., 0]
+        distribution = 1 / (np.pi * 0.03 * ((along / 0.3) ** 2 + (across / 0.1) ** 2 + h[..., 2] ** 2) ** 2)
+        return distribution / (4 * (wi[..., 2] + wo[..., 2])) + 0.02
+
+    lights = [light for light in (5, 20, 40, 60) if light != left_out]
+    measured = load(written(tmp_path, rows((0, 90), lights), ggx), dtype=torch.float64)
+    asked = unit_vectors(np.radians(rows((37, 101), (left_out or 40,))))[None]
+    pairs = Pairs.from_directions(*(torch.from_numpy(asked[..., part]) for part in (slice(3, 6), slice(3))))
+    wanted = torch.from_numpy(ggx(pairs.wi.numpy(), pairs.wo.numpy()))[0].log()
+    found = measured.at(pairs)[0, :, 0].clamp_min(1e-3).log()
+    assert measured.is_anisotropic and (found - wanted).square().mean().sqrt() < 0.15
+
+
 def test_samples_of_tensors_may_be_said_to_have_one():
     both = torch.from_numpy(unit_vectors(np.radians(rows(range(0, 360, 30)))))[None]
     pairs = Pairs.from_directions(both[..., 3:], both[..., :3])

@@ -108,7 +108,7 @@ class RglFile:
         wi, wo = wi.expand_as(half), 2 * toward * half - wi
         turn = None if self.phi is None else phi_i.expand_as(x)
         factor = self.factor(theta_i.expand_as(x), x, y, wo[..., 2], turn)
-        f = self.spectrum.flatten(-3, -2).reshape(len(x), -1, 3) * factor[..., None]
+        f = self.spectrum.reshape(*x.shape, -1) * factor[..., None]
         valid = (wi[..., 2] > HORIZON) & (wo[..., 2] > 0) & (toward[..., 0] > 0) & f.isfinite().all(-1)
         valid &= torch.from_numpy(self.finite.reshape(valid.shape))
         f = torch.where(valid[..., None], f, 0)
