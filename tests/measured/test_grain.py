@@ -52,7 +52,7 @@ def test_a_grain_is_found_and_kept(brdf, noise, tmp_path):
     path = written(tmp_path, rows(range(0, 360, 15)), brdf, noise)
     measured = load(path, dtype=torch.float64)
     assert measured.is_anisotropic and measured.is_scattered and measured.source.is_reciprocal
-    assert describe(path)["anisotropic"].startswith("24 azimuths of the light, whose samples are ")
+    assert describe(path)["anisotropic"].startswith("24 azimuths of the light; samples that are left out")
     wi, wo = (hemisphere(1, 4000, seed=seed).double() for seed in (0, 1))
     keep = (wi[0, :, 2] > 0.5) & (wo[0, :, 2] > 0.3)
     asked = Pairs.from_directions(wi[:, keep], wo[:, keep])
@@ -100,12 +100,11 @@ def test_what_is_told_is_taken(tmp_path):
     assert not load(one).is_anisotropic and "azimuths of the light" not in describe(one)
     told = load(one, settings={"grain": "anisotropic"})
     assert told.is_anisotropic and told.at(told.pairs).isfinite().all()
-    assert describe(one, {"grain": "anisotropic"})["anisotropic"] == "1 azimuth of the light, as was told"
-    # No two samples of other azimuths at the same angles.
+    assert describe(one, {"grain": "anisotropic"})["anisotropic"] == "1 azimuths of the light; as was told"
     loose = np.array([(20 + 3 * k, 40 * k, 30 + k, 200 + 17 * k) for k in range(9)], float)
     path = written(tmp_path, loose, brushed, name="loose.csv")
     assert not load(path).is_anisotropic
-    assert "no two at the same angles otherwise" in describe(path)["azimuths of the light"]
+    assert "too few samples to tell" in describe(path)["azimuths of the light"]
 
 
 def test_of_several_files_each_is_as_it_is(tmp_path):

@@ -208,11 +208,12 @@ class Surface:
         lobes = places.angles.lobes(self._turn)
         some = slice(None, None, max(1, len(mean) // (_FITTED if self._turn is None else _FITTED_GRAIN)))
         self._heights = _heights(lobes[some], mean[some], self.scale)
-        off = self._compressed(mean) - self._compressed(lobes @ self._heights)
+        off = self.compressed(mean) - self.compressed(lobes @ self._heights)
         self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
         self._rest = torch.from_numpy(off - self._along(places.angles.theta_h))
 
-    def _compressed(self, values: np.ndarray) -> np.ndarray:
+    def compressed(self, values: np.ndarray) -> np.ndarray:
+        """The log of large values, and what is linear about 0."""
         found: np.ndarray = np.arcsinh(values / (2 * self.scale))
         return found
 
@@ -226,7 +227,7 @@ class Surface:
             return self.mean[near.places[:, 0].numpy()]
         rest = functional.embedding_bag(near.places, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
         lobes = near.angles.lobes(self._turn) if near.lobes is None else near.lobes
-        smooth = self._compressed(lobes @ self._heights) + self._along(near.angles.theta_h)
+        smooth = self.compressed(lobes @ self._heights) + self._along(near.angles.theta_h)
         found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
         return found
 
