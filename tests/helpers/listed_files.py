@@ -179,3 +179,44 @@ def zemax(
                 row.append(known(np.array(light), polar, turn) if wo[2] > 1e-3 else 0.0)
             lines.append("\t".join(f"{float(one):.6e}" for one in row))
     return "\n".join([*lines, "DataEnd"]) + "\n"
+
+
+def unit_vectors(rows):
+    """The viewer and the light of rows of angles in radians, `(N, 6)`."""
+    light, viewer = (
+        np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+        for theta, phi in (rows[:, :2].T, rows[:, 2:].T)
+    )
+    return np.concatenate([viewer, light], -1)
+
+
+def alta(rows=None, *, name="SPHERICAL_TL_PL_TV_PV", place=None, vs=0, out="RGB_COLOR", order=None):
+    """ALTA's text, or with the order "little" or "big" of bytes its binary.
+
+    `place` makes the coordinates that are called `name` of rows in radians; by default they are the rows.
+    """
+    rows = angles() if rows is None else rows
+    given = np.radians(rows) if place is None else place(np.radians(rows))
+    found = values(rows) if out.endswith("COLOR") else values(rows)[:, :1]
+    bounds = [found + side for side in (-1, 1)][:vs]
+    table = np.concatenate([given, found, *bounds], 1)
+    head = [f"#DIM {given.shape[1]} {found.shape[1]}", f"#PARAM_IN  {name}", f"#PARAM_OUT {out}", f"#VS {vs}"]
+    if order is None:
+        return "\n".join(["#SAMPLE made up", *head, *("\t".join(f"{one:.15g}" for one in row) for row in table)]) + "\n"
+    head += ["#FORMAT binary", "#VERSION 0", "#PRECISION ieee754-double", f"#SAMPLE_COUNT {len(rows)}"]
+    head += [f"#ENDIAN {order}", "#BEGIN_STREAM", ""]
+    return "\n".join(head).encode() + table.astype("<f8" if order == "little" else ">f8").tobytes() + b"\n#END_STREAM\n"
+
+
+def openmaterial(rows=None, bands=BANDS, azimuth=0):
+    """Text of an OpenMATERIAL 3D table; `azimuth` is added to that of the viewer."""
+    rows = angles() if rows is None else rows
+    table = [
+        [band * 1e-9, np.radians(light), np.radians(polar), np.radians((turn - start + azimuth) % 360), value]
+        for k, band in enumerate(bands)
+        for (light, start, polar, turn), value in zip(rows, values(rows)[:, k], strict=True)
+    ]
+    meta = {"name": "made up", "openMaterial3dVersion": "1.0.0", "sources": "measurement"}
+    return json.dumps(
+        {"metadata": meta, "brdf": {"wavelengths": [1e-9 * band for band in bands], "lookupTable": table}}
+    )

@@ -109,3 +109,60 @@ def read_bsdf(path: Path):
         where += length + 13 + 8 * dims
         fields[name] = np.frombuffer(data, "<" + names[kind], math.prod(shape), offset).reshape(shape)
     return fields
+
+
+def brushed(wi, wo):
+    """An anisotropic, reciprocal BRDF of directions `(..., 3)`: a grain along x, on grey; `(...)`."""
+    h = wi + wo
+    h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
+    slope = (h[..., :2] / np.maximum(h[..., 2:], 1e-6)) / [0.5, 0.2]
+    return 0.1 + np.exp(-np.square(slope).sum(-1))
+
+
+def utia_directions():
+    """Light and viewer of UTIA's tables, `(6, 48, 6, 48, 3)`."""
+    t_i, p_i, t_o, p_o = np.radians(np.meshgrid(*2 * [np.arange(6) * 15.0, np.arange(48) * 7.5], indexing="ij"))
+    pairs = ((t_i, p_i), (t_o, p_o))
+    return [np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1) for t, p in pairs]
+
+
+def utia(color=(1.0, 0.5, 0.25), brdf=brushed):
+    """The doubles of a UTIA table, `(3, 6, 48, 6, 48)`."""
+    return np.multiply.outer(np.array(color), brdf(*utia_directions()))
+
+
+def anisotropic_bsdf(parts=2, size=24, azimuths=9, angles=8, brdf=brushed):
+    """Fields of an anisotropic RGB measurement in RGL's arrangement, of a BRDF that has a grain along x.
+
+    Its warp is even, D grows with the azimuth and sigma falls with the elevation, so that each of them counts.
+    """
+    phi = np.linspace(-math.pi, -math.pi + 2 * math.pi / parts, azimuths)
+    theta = np.linspace(0, math.radians(85), angles)
+    grid = np.linspace(0, 1, size)
+    p_i, t_i, y, x = np.meshgrid(phi, theta, grid, grid, indexing="ij")
+    theta_h, phi_h = x**2 * math.pi / 2, (2 * y - 1) * math.pi
+    wi, half = (
+        np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1)
+        for t, p in ((t_i, p_i), (theta_h, phi_h))
+    )
+    wo = 2 * (wi * half).sum(-1, keepdims=True) * half - wi
+    normals = 1 + np.cos(2 * phi_h) * np.sin(theta_h) ** 2 / 2
+    visible = (1 - theta[:, None, None] / 3) * np.ones_like(t_i)
+    stored = brdf(wi, wo) * wo[..., 2] * 4 * visible / normals
+    unit = theta_grid = np.linspace(0, 1, 64)
+    sigma = np.tile(1 - theta_grid**2 * (math.pi / 2) / 3, (2, 1))
+    ndf = 1 + np.cos(2 * (2 * unit[:, None] - 1) * math.pi) * np.sin(unit**2 * math.pi / 2) ** 2 / 2
+    rgb = np.multiply.outer(np.array([1.0, 0.5, 0.25]), stored)
+    fields = {
+        "version": np.array([1, 0], "u4"),
+        "description": np.frombuffer(b"made up", np.uint8),
+        "phi_i": phi,
+        "theta_i": theta,
+        "sigma": sigma,
+        "ndf": ndf,
+        "vndf": np.ones((azimuths, angles, 4, 4)),
+        "luminance": np.maximum(stored, 1e-3),
+        "rgb": np.moveaxis(rgb, 0, 2),
+        "jacobian": np.ones(1, "u1"),
+    }
+    return {name: value.astype("f4") if value.dtype.kind == "f" else value for name, value in fields.items()}

@@ -1,5 +1,6 @@
 """Formats that list directions and values: what they hold, what is mended, and what is refused."""
 
+import json
 import math
 import os
 import pickle
@@ -10,7 +11,21 @@ import tarfile
 import numpy as np
 import pytest
 import torch
-from helpers.listed_files import BANDS, COLOR, angles, astm, bird, columns, cornell, fred, known, ssdd, zemax
+from helpers.listed_files import (
+    BANDS,
+    COLOR,
+    alta,
+    angles,
+    astm,
+    bird,
+    columns,
+    cornell,
+    fred,
+    known,
+    openmaterial,
+    ssdd,
+    zemax,
+)
 
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, ShapeError, UsageError
@@ -20,7 +35,17 @@ from torchbrdf.measured import Measured, check, describe, load
 from torchbrdf.measured.bands import rgb_weights
 from torchbrdf.pairs import Pairs
 
-TEXTS = {"astm": astm, "bird": bird, "columns": columns, "cornell": cornell, "fred": fred, "ssdd": ssdd, "zemax": zemax}
+TEXTS = {
+    "alta": alta,
+    "astm": astm,
+    "bird": bird,
+    "columns": columns,
+    "cornell": cornell,
+    "fred": fred,
+    "openmaterial": openmaterial,
+    "ssdd": ssdd,
+    "zemax": zemax,
+}
 
 
 def written(folder, text, name="made-up.dat"):
@@ -49,9 +74,11 @@ def test_values_are_where_they_were_measured(name, tmp_path):
     """The mirror direction, and so the lobe, is where the format has it."""
     measured = opened(tmp_path, TEXTS[name]())
     assert measured.source.format == name
-    scale = torch.tensor(COLOR @ rgb_weights(BANDS)) if name == "astm" else torch.tensor([COLOR[0]] * 3)
+    scale = (
+        torch.tensor(COLOR @ rgb_weights(BANDS)) if name in ("astm", "openmaterial") else torch.tensor([COLOR[0]] * 3)
+    )
     scale = torch.ones(3, dtype=torch.float64) if name in ("cornell", "zemax") else scale
-    scale = torch.tensor(COLOR) if name in ("columns", "ssdd") else scale
+    scale = torch.tensor(COLOR) if name in ("alta", "columns", "ssdd") else scale
     good = measured.weight[0, :, 0] > 0
     assert good.sum() > 100
     wanted = expected(measured)[:, None] * scale
@@ -171,6 +198,12 @@ def test_bad_astm_files_are_refused(kind, tmp_path):
         (bird().replace('"sr^-1"', '"%"'), "expected angles in"),
         (bird().replace('"theta_r"', '"theta_x"'), "theta_r"),
         (bird().replace('"unit": "nm"', '"unit": "m"'), "wavelength: expected nm"),
+        (openmaterial().replace('"brdf"', '"emp"'), "expected a measured BRDF"),
+        (openmaterial().replace('"lookupTable"', '"table"'), "missing required field `lookupTable`"),
+        (openmaterial().replace("[[", "[[1, "), "lookupTable[0]: expected 5 numbers, found 6"),
+        (openmaterial(bands=(0,)), "wavelengths: expected some of light, 0 to 1e+06 nm, found 0 to 0"),
+        (openmaterial(bands=(3e6,)), "wavelengths: expected some of light"),
+        (openmaterial().replace("1.39", "139", 1), "radians, found 1.39626e+16"),
         (zemax().replace("BRDF", "BTDF"), "ScatterType: expected BRDF, found 'BTDF'"),
         (zemax().replace("TIS\t0.1\n", "TIS\t0.1\n1 2 3\n", 1), "expected 10 numbers, found 3"),
         (
@@ -187,10 +220,12 @@ def test_bad_files_are_refused(text, says, tmp_path):
     assert says in str(caught.value) and "made-up.dat" in str(caught.value)
 
 
-def test_anisotropic_samples_are_read_as_their_mean(tmp_path):
+def test_azimuths_of_isotropic_samples_are_read_as_their_mean(tmp_path):
     rows = np.concatenate([angles(), angles() + np.array([0, 90, 0, 90])])
-    facts = describe(written(tmp_path, astm(rows)))
-    assert facts["azimuths of the light"] == "2: read as isotropic, by the mean over them"
+    path = written(tmp_path, astm(rows))
+    said = describe(path)["azimuths of the light"]
+    assert said.startswith("2: read as isotropic, by the mean over them; samples that are left out")
+    assert not load(path).is_anisotropic
 
 
 def test_files_of_one_geometry_share_their_pairs(tmp_path):
@@ -310,3 +345,27 @@ def test_a_reader_that_has_seen_enough(tmp_path):
     )
     os.close(writing)
     assert done.returncode == 141 and b"pipe" not in done.stderr.lower()
+
+
+def test_openmaterial_says_what_it_took(tmp_path):
+    """The azimuth that 0 is, bands that are missing, a header that lies, and rows that hold nothing."""
+    path = written(tmp_path, openmaterial())
+    assert describe(path)["azimuths"] == "0 is the light's (the file does not say)"
+    other = load(written(tmp_path, openmaterial(azimuth=180), "o"), settings={"azimuth": "mirror"}, dtype=torch.float64)
+    same = load(path, dtype=torch.float64)
+    torch.testing.assert_close(other.at(same.pairs), same.at(same.pairs), rtol=1e-5, atol=1e-8)
+    document = json.loads(openmaterial())
+    document["brdf"]["lookupTable"][5][4] = None
+    document["brdf"]["lookupTable"].append(document["brdf"]["lookupTable"][7])
+    document["brdf"]["wavelengths"].append(7e-7)
+    facts = describe(written(tmp_path, json.dumps(document)))
+    assert facts["wavelengths"] == "the header lists 4, the rows have 3; the rows were believed"
+    assert facts["samples"] - facts["valid samples"] == 1 and "their means" in facts["repetitions"]
+
+
+def test_real_asphalt(data):
+    asphalt = load(data / "formats" / "openmaterial3d" / "example_material_camera_brdf.xompt", dtype=torch.float64)
+    assert asphalt.values.shape == (1, 59, 3) and (asphalt.weight == 1).all()
+    # Somewhat brownish: all values of one wavelength are the same, and grow with it.
+    red, green, blue = asphalt.values[0, 0].tolist()
+    assert 1e-5 < blue < green < red < 3e-5

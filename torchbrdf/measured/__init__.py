@@ -1,5 +1,6 @@
 """Measured BRDFs: what was measured, read from files, and figures about it. A format a file."""
 
+from torchbrdf.measured.alta import Alta
 from torchbrdf.measured.astm import Astm
 from torchbrdf.measured.bird import Bird
 from torchbrdf.measured.catalogue import MERL_NAMES, MERL_SHA256, PAPER_TEN, is_merl, merl_name
@@ -13,11 +14,14 @@ from torchbrdf.measured.load import load, load_all
 from torchbrdf.measured.measured import Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.merl_table import merl_values
+from torchbrdf.measured.merl_variants import Merl360, Merl360Single, MerlSingle
+from torchbrdf.measured.openmaterial import OpenMaterial
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.ssdd import Ssdd
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.utia import Utia
 from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
@@ -25,6 +29,7 @@ __all__ = [
     "MERL_NAMES",
     "MERL_SHA256",
     "PAPER_TEN",
+    "Alta",
     "Astm",
     "Bird",
     "BrdfFormat",
@@ -34,11 +39,16 @@ __all__ = [
     "Lookup",
     "Measured",
     "Merl",
+    "Merl360",
+    "Merl360Single",
+    "MerlSingle",
+    "OpenMaterial",
     "Plausibility",
     "Rgl",
     "Samples",
     "Ssdd",
     "StandIn",
+    "Utia",
     "Zemax",
     "check",
     "contrast_gloss",

@@ -74,3 +74,16 @@ def direction(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """
     sine = np.sin(polar)
     return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
+
+
+def of_direction(direction: np.ndarray) -> np.ndarray:
+    """The angle from the normal and the azimuth of vectors `(..., 3)`, radians, `(..., 2)`.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchbrdf.measured.angles import of_direction
+        >>> of_direction(np.array([0.0, 1.0, 0.0])).round(2).tolist()
+        [1.57, 1.57]
+    """
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return np.stack([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)], -1)

@@ -13,6 +13,7 @@ from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.format import FORMATS
 from torchbrdf.measured.listed import Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines
+from torchbrdf.measured.spectra import spectra
 from torchbrdf.reading import read_json
 
 _EXPECTED = "a BiRD BRDF file"
@@ -84,15 +85,5 @@ class Bird(ListedFormat):
         if not length or not count:
             return Listed(angles * factor, values[:, None], None, facts=facts)
         lengths = np.array(length.values, np.float64) * _LENGTH_UNITS[length.unit]
-        places, own = np.unique(angles, axis=0, return_inverse=True)
-        bands, band = np.unique(lengths, return_inverse=True)
-        if not (bands[0] > 0 and bands[-1] < 1e6) or len(places) * len(bands) > 50 * count + 1000:
-            raise DataError(f"{path}: wavelength: expected the same ones at all angles, found {len(bands)} in all")
-        cell = own.reshape(-1) * len(bands) + band.reshape(-1)
-        size = len(places) * len(bands)
-        repeats = np.bincount(cell, minlength=size)
-        with np.errstate(invalid="ignore"):  # nan where a band is missing
-            table = np.bincount(cell, values, size) / repeats
-        if repeats.max() > 1:
-            facts["repetitions"] = f"{count} values of {int((repeats > 0).sum())}: their means, as of polarizations"
-        return Listed(places * factor, table.reshape(-1, len(bands)), bands.tolist(), facts=facts)
+        each = spectra(path, angles, lengths, values)  # the mean over what else differs, such as polarization
+        return Listed(each.places * factor, each.values, each.wavelengths, facts=facts | each.facts)

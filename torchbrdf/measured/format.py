@@ -121,7 +121,7 @@ class BrdfFormat(ABC):
         """
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
-        """Values at any pairs, zero below the horizon: here those between scattered samples, of isotropic materials.
+        """Values at any pairs, zero below the horizon: here those between scattered samples.
 
         Args:
             pairs: `(1, N)`, or `(m, N)` with pairs of each material's own; dtype and device of the values are theirs.
@@ -151,7 +151,7 @@ class BrdfFormat(ABC):
                 own = row if pairs.shape[0] > 1 else 0
                 places, surface = self._surface(material)
                 if found is None or found[0] is not places or found[1] != own:
-                    angles = Angles.of(pairs.select(samples=part), own)
+                    angles = Angles.of(pairs.select(samples=part), own, places.has_grain)
                     found = places, own, places.near(angles, *([] if neighbours is None else [neighbours]))
                 yield row, part, found[2], surface
 
@@ -186,10 +186,11 @@ class BrdfFormat(ABC):
     def _places(self, material: int, valid: np.ndarray) -> Places:
         """The places of valid samples: one for all materials that share pairs and validity."""
         row = material if self.pairs.shape[0] > 1 else 0
-        key = (row, hashlib.sha256(valid.tobytes()).digest())
+        grain = self.has_grain(material)
+        key = (row, grain, hashlib.sha256(valid.tobytes()).digest())
         found: Places | None = self._ready.get(key)
         if found is None:
-            found = Places(Angles.of(self.pairs.select(samples=torch.from_numpy(valid.nonzero()[0])), row))
+            found = Places(Angles.of(self.pairs.select(samples=torch.from_numpy(valid.nonzero()[0])), row, grain))
             self._keep(key, found)
         return found
 
@@ -204,7 +205,8 @@ class BrdfFormat(ABC):
         if found is None:
             row = material if self.pairs.shape[0] > 1 else 0
             above = self.pairs.above_horizon[row].cpu()
-            samples = Angles.of(self.pairs.select(samples=above.nonzero()[:, 0]), row).turned()
+            own = self.pairs.select(samples=above.nonzero()[:, 0])
+            samples = Angles.of(own, row, self.has_grain(material)).turned()
             valid = self.read([material], slice(None))[1][0, :, 0].cpu()[above].numpy() > 0
             found = tree_of(samples), valid
             self._keep(("turned", material), found)
@@ -216,7 +218,7 @@ class BrdfFormat(ABC):
         if valid.all():
             return 0
         own = row if pairs.shape[0] > 1 else 0
-        _, nearest = tree.query(Angles.of(pairs, own).turned())
+        _, nearest = tree.query(Angles.of(pairs, own, self.has_grain(material)).turned())
         return int((pairs.above_horizon[own].cpu().numpy() & ~valid[nearest]).sum())
 
     def distance_at(self, pairs: Pairs, materials: list[int]) -> Tensor:
@@ -233,7 +235,7 @@ class BrdfFormat(ABC):
             tree, valid = self._turned(material)
             if not valid.all():
                 tree = tree_of(tree.data[valid])
-            asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0).turned()
+            asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0, self.has_grain(material)).turned()
             found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
         return found
 
@@ -244,6 +246,10 @@ class BrdfFormat(ABC):
             found["file"] = self.paths[material].name
         told = getattr(self, "told", {})
         return found | ({"settings": dict(told)} if told else {})
+
+    def has_grain(self, material: int) -> bool:
+        """Whether one of the materials is anisotropic: by default each, where the source is."""
+        return self.is_anisotropic
 
     def details(self, material: int) -> dict[str, object]:
         """What only this format can say about one of its materials, by name."""

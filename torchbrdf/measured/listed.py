@@ -27,6 +27,7 @@ from torchbrdf.measured.bands import (
     rgb_weights,
 )
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
+from torchbrdf.measured.grain import GRAINS, Grain, grain_of
 from torchbrdf.measured.summary import repeated, summary
 from torchbrdf.pairs import Pairs
 
@@ -40,6 +41,7 @@ QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
 SETTINGS: Mapping[str, tuple[str, ...]] = {
     "angles": UNITS,
     "bands": BANDS,
+    "grain": GRAINS,
     "illuminant": ILLUMINANTS,
     "quantity": QUANTITIES,
 }
@@ -80,6 +82,7 @@ class _Opened(NamedTuple):
     valid: Tensor
     facts: dict[str, object]
     wavelengths: tuple[float, ...] | None
+    grain: Grain
 
 
 class ListedFormat(BrdfFormat):
@@ -103,6 +106,7 @@ class ListedFormat(BrdfFormat):
         self._read = [self._opened(path) for path in paths]
         self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
         check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
+        self.is_anisotropic = any(one.grain.is_there for one in self._read)
 
     def _opened(self, path: Path) -> _Opened:
         listed = self.parse(path)
@@ -127,8 +131,9 @@ class ListedFormat(BrdfFormat):
             facts["repeated directions"] = again
             log.warning("torchbrdf: %s: repeated directions: %s", path, again)
         values[~valid] = 0
+        grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), self.setting("grain", GRAINS[0]))
         toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
-        return _Opened(toward, seen, found, good, facts, wavelengths)
+        return _Opened(toward, seen, found, good, facts | grain.facts, wavelengths, grain)
 
     def _in_colors(self, listed: Listed) -> tuple[np.ndarray, str, tuple[float, ...] | None]:
         """Values as linear RGB, or in bands, how they became so, and the wavelengths of bands."""
@@ -194,7 +199,12 @@ class ListedFormat(BrdfFormat):
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
         one = self._read[material]
-        return {**one.facts, **summary(*(part.numpy() for part in (one.wi, one.wo, one.values, one.valid)))}
+        wi, wo, values, valid = (part.numpy() for part in (one.wi, one.wo, one.values, one.valid))
+        return {**one.facts, **summary(wi, wo, values, valid, one.grain.is_there)}
+
+    def has_grain(self, material: int) -> bool:
+        """Whether a material's samples are anisotropic."""
+        return self._read[material].grain.is_there
 
 
 _AS_IT_IS = "RGB as the file has it"

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -28,7 +28,45 @@ from torchbrdf.reading import reading
 BINS = (90, 90, 180)
 COUNT = math.prod(BINS)
 HEADER = struct.Struct("<3i")
-BYTES = HEADER.size + 3 * 8 * COUNT
+
+
+class Layout(NamedTuple):
+    """How a file of one kind is laid out: behind the dimensions the entries of red, green and blue.
+
+    Attributes:
+        bins: Of theta_h, theta_d and phi_d.
+        kind: NumPy's type of an entry.
+    """
+
+    bins: tuple[int, int, int] = BINS
+    kind: str = "<f8"
+
+    @property
+    def entries(self) -> int:
+        """Entries of a channel."""
+        return math.prod(self.bins)
+
+    @property
+    def item(self) -> int:
+        """Bytes of an entry."""
+        return np.dtype(self.kind).itemsize
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of a file."""
+        return HEADER.size + 3 * self.item * self.entries
+
+    def is_one(self, dims: Sequence[int], size: int) -> bool:
+        """Whether a file of so many bytes, with these dimensions in front, has this layout; or may be a part of it."""
+        return dims == self.bins and (size == self.bytes or (self == WHOLE and size != WHOLE_SINGLE.bytes))
+
+    @property
+    def slab(self) -> int:
+        """Entries of one theta_h, of a channel."""
+        return self.bins[1] * self.bins[2]
+
+
+BYTES = Layout().bytes
 CHANNEL_FACTORS = (1.0, 1.15, 1.66)
 CHANNEL_SCALES = tuple(factor / 1500 for factor in CHANNEL_FACTORS)
 """What the entries of a file, red, green and blue, are multiplied by to be in 1/sr."""
@@ -39,8 +77,8 @@ TABLES = 12
 """Whole tables kept in memory, 23 MB each in float32."""
 LARGEST_ENTRY = 1e13
 """Larger entries, some 1e10 / sr, are no reflectance, and would overflow in sums of squares in float32."""
-SLAB = BINS[1] * BINS[2]
-"""Entries of one theta_h, of a channel."""
+WHOLE, SINGLE, WHOLE_SINGLE = Layout((90, 90, 360)), Layout(kind="<f4"), Layout((90, 90, 360), "<f4")
+"""Other kinds of files: phi_d all around, so that light and viewer can be told apart, and single precision."""
 
 
 @FORMATS.register("merl")
@@ -55,9 +93,10 @@ class Merl(BrdfFormat):
     """
 
     format = "merl"
-    suffixes = (".binary",)
+    suffixes: ClassVar[tuple[str, ...]] = (".binary",)
     on_merl_bins = True
     is_reciprocal = True
+    layout: ClassVar[Layout] = Layout()
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)
@@ -68,7 +107,11 @@ class Merl(BrdfFormat):
     @cached_property
     def pairs(self) -> Pairs:  # type: ignore[override]
         """Directions of the bins' centres, `(1, N)`."""
-        return bin_centers()
+        return bin_centers(self.layout.bins)
+
+    @cached_property
+    def _above(self) -> np.ndarray:
+        return above_horizon(self.layout.bins)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as the paths of its files."""
@@ -81,6 +124,8 @@ class Merl(BrdfFormat):
         if len(head) < HEADER.size:
             return False
         dims = HEADER.unpack_from(head)
+        if any(other.is_one(dims, size) for other in (WHOLE, SINGLE, WHOLE_SINGLE)):
+            return False
         plausible = all(0 < n <= 4096 for n in dims) and size == HEADER.size + 24 * math.prod(dims)
         return size == BYTES or plausible or {90, 180} <= {*dims} <= {90, 180, 360}
 
@@ -97,46 +142,53 @@ class Merl(BrdfFormat):
         with reading(path, "a MERL table"), path.open("rb") as file:
             head = file.read(HEADER.size)
             size = os.fstat(file.fileno()).st_size
-            first = [_entries(file, k * COUNT, SLAB) for k in range(3)] if size == BYTES else []
+            whole, slab = self.layout.bytes, self.layout.slab
+            first = [self._entries(file, k * self.layout.entries, slab) for k in range(3)] if size == whole else []
         if len(head) < HEADER.size:
-            raise DataError(f"{path}: expected a MERL table of {BYTES} bytes, found {size}")
-        _check_header(path, head)
-        if size != BYTES:
-            what = "truncated" if size < BYTES else "too long"
-            raise DataError(f"{path}: {what}: expected {BYTES} bytes, found {size}")
+            raise DataError(f"{path}: expected a MERL table of {whole} bytes, found {size}")
+        _check_header(path, head, self.layout.bins)
+        if size != whole:
+            what = "truncated" if size < whole else "too long"
+            raise DataError(f"{path}: {what}: expected {whole} bytes, found {size}")
         if _are_swapped(np.stack(first)):
             raise DataError(f"{path}: expected little-endian entries, found big-endian ones; swap the bytes of each")
         # The first theta_h, as a rule: the others are read only where it is empty.
-        if (
-            not (_valid(first) & above_horizon()[:SLAB]).any()
-            and not (_valid(self._raw(material)) & above_horizon()).any()
-        ):
-            raise DataError(
-                f"{path}: no valid entry: all {COUNT} are negative, not finite, too large or below the horizon"
-            )
+        if not (_valid(first) & self._above[:slab]).any() and not (_valid(self._raw(material)) & self._above).any():
+            bad = "negative, not finite, too large or below the horizon"
+            raise DataError(f"{path}: no valid entry: all {self.layout.entries} are {bad}")
 
     def raw(self, material: int) -> np.ndarray:
         """The entries as the file has them, not scaled, `(3, 90, 90, 180)`."""
-        return self._raw(material).reshape(3, *BINS)
+        return self._raw(material).reshape(3, *self.layout.bins)
 
     def _raw(self, material: int) -> np.ndarray:
         path = self.paths[material]
         with reading(path, "a MERL table"), path.open("rb") as file:
-            return _entries(file, 0, 3 * COUNT).reshape(3, COUNT)
+            return self._entries(file, 0, 3 * self.layout.entries).reshape(3, -1)
 
     def _some(self, material: int, bins: np.ndarray) -> list[np.ndarray]:
         """Entries of some bins, one array a channel: what is read goes from the first theta_h of them to the last."""
         if not len(bins):
             return [np.empty(0)] * 3
-        start, stop = int(bins.min()) // SLAB * SLAB, (int(bins.max()) // SLAB + 1) * SLAB
+        slab, count = self.layout.slab, self.layout.entries
+        start, stop = int(bins.min()) // slab * slab, (int(bins.max()) // slab + 1) * slab
         path = self.paths[material]
         with reading(path, "a MERL table"), path.open("rb") as file:
-            return [_entries(file, k * COUNT + start, stop - start)[bins - start] for k in range(3)]
+            return [self._entries(file, k * count + start, stop - start)[bins - start] for k in range(3)]
+
+    def _entries(self, file: BinaryIO, start: int, count: int) -> np.ndarray:
+        """Entries from one on; a DataError if the file ends before: it was cut short since it was opened."""
+        file.seek(HEADER.size + self.layout.item * start)
+        found = np.fromfile(file, self.layout.kind, count)
+        if len(found) < count:
+            size = os.fstat(file.fileno()).st_size
+            raise DataError(f"{file.name}: truncated: expected {self.layout.bytes} bytes, found {size}")
+        return found
 
     def _rows(self, material: int, bins: np.ndarray | slice = slice(None), *, dtype: type = np.float64) -> np.ndarray:
         """Values and validity of some bins, or of all, `(n, 4)`, as `grid` describes them."""
         part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
-        valid = _valid(part) & above_horizon()[bins]
+        valid = _valid(part) & self._above[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
         with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
             for channel, scale in enumerate(CHANNEL_SCALES):
@@ -147,7 +199,7 @@ class Merl(BrdfFormat):
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values and weights at the bin centres, float64; only these bins are read."""
-        bins = _bin_rows()[samples].numpy()
+        bins = _bin_rows(self.layout.bins)[samples].numpy()
         values = np.empty((len(materials), len(bins), 3))
         weights = np.empty((len(materials), len(bins), 1))
         for k, material in enumerate(materials):
@@ -176,12 +228,12 @@ class Merl(BrdfFormat):
                 if row < pairs.shape[0]:
                     own = chunk.select([row])
                     above = own.above_horizon[0]
-                    position = _position(own)
-                    centre = nearest_rows(position, BINS)
+                    position = self._position(own)
+                    centre = nearest_rows(position, self.layout.bins)
                     if interpolation == "nearest":
                         index, weight = centre[:, None], torch.ones_like(position[0])[:, None]
                     else:
-                        index, weight = neighbours(position, BINS)
+                        index, weight = neighbours(position, self.layout.bins)
                 found, missing = normalized(self._weighted(material, index, weight, direct))
                 missing &= above
                 if missing.any():
@@ -190,6 +242,15 @@ class Merl(BrdfFormat):
                     filled[row] += missing.sum()
                 values[row, part] = torch.where(above[:, None], found, 0)
         return Lookup(values, filled)
+
+    def _position(self, pairs: Pairs) -> list[Tensor]:
+        """Fractional bins, 0 at the centre of bin 0, of `(1, N)` pairs."""
+        theta_h = (pairs.theta_h[0] * (2 / math.pi)).sqrt() * 90
+        return [theta_h - 0.5, pairs.theta_d[0] * (180 / math.pi) - 0.5, self._phi_d(pairs) * (180 / math.pi) - 0.5]
+
+    def _phi_d(self, pairs: Pairs) -> Tensor:
+        """phi_d as the table has it, radians, `(N,)`."""
+        return pairs.phi_d[0]
 
     def _weighted(self, material: int, index: Tensor, weight: Tensor, direct: bool) -> Tensor:
         if not direct:
@@ -202,11 +263,11 @@ class Merl(BrdfFormat):
         return torch.from_numpy(rows).to(device, dtype)
 
     def _find_nearest_valid(self, material: int) -> np.ndarray:
-        return nearest_valid((_valid(self._raw(material)) & above_horizon()).reshape(BINS))
+        return nearest_valid((_valid(self._raw(material)) & self._above).reshape(self.layout.bins))
 
     def details(self, material: int) -> dict[str, object]:
         """The shares of invalid entries, and the name that MERL gave the file, if it is one of theirs."""
-        valid, above = _valid(self._raw(material)), above_horizon()
+        valid, above = _valid(self._raw(material)), self._above
         return {
             "invalid share of all bins": float((~(valid & above)).mean()),
             "invalid share of bins above the horizon": float((~valid[above]).mean()),
@@ -262,41 +323,43 @@ def write_raw(path: str | Path, raw: np.ndarray) -> None:
         file.write(np.ascontiguousarray(raw, "<f8").data)
 
 
-@lru_cache(1)
-@undisturbed()
-def bin_centers() -> Pairs:
-    """Directions of the centres of MERL's bins, `(1, N)`, in the order of the table.
+def bin_centers(bins: tuple[int, int, int] = BINS) -> Pairs:
+    """Directions of the centres of a table's bins, `(1, N)`, in the order of the table; the same Pairs each time.
 
     Only bins with both directions above the horizon.
     """
-    place = np.nonzero(above_horizon().reshape(BINS))
-    return Pairs.from_half_diff(
-        *(torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(), place, strict=True))
-    )
+    return _bin_centers(bins)
 
 
-@lru_cache(1)
-@undisturbed()
-def _bin_rows() -> Tensor:
-    return torch.from_numpy(np.flatnonzero(above_horizon()))
-
-
-@lru_cache(1)
-def above_horizon() -> np.ndarray:
+def above_horizon(bins: tuple[int, int, int] = BINS) -> np.ndarray:
     """Whether both directions of each bin's centre are above the horizon, `(K,)` of K bins."""
-    h, d, phi = np.ix_(*_centres())
-    return (np.cos(h) * np.cos(d) > np.sin(h) * np.sin(d) * np.abs(np.cos(phi))).reshape(-1)
+    return _above_horizon(bins)
 
 
-def _centres() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    h, d, phi = (np.arange(size) + 0.5 for size in BINS)
+@lru_cache(2)
+@undisturbed()
+def _bin_centers(bins: tuple[int, int, int]) -> Pairs:
+    place = np.nonzero(_above_horizon(bins).reshape(bins))
+    angles = [torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(bins), place, strict=True)]
+    return Pairs.from_half_diff(*angles)
+
+
+@lru_cache(2)
+@undisturbed()
+def _bin_rows(bins: tuple[int, int, int]) -> Tensor:
+    return torch.from_numpy(np.flatnonzero(_above_horizon(bins)))
+
+
+@lru_cache(2)
+def _above_horizon(bins: tuple[int, int, int]) -> np.ndarray:
+    h, d, phi = np.ix_(*_centres(bins))
+    above: np.ndarray = (np.cos(h) * np.cos(d) > np.sin(h) * np.sin(d) * np.abs(np.cos(phi))).reshape(-1)
+    return above
+
+
+def _centres(bins: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    h, d, phi = (np.arange(size) + 0.5 for size in bins)
     return (h / 90) ** 2 * (math.pi / 2), d / 90 * (math.pi / 2), phi / 180 * math.pi
-
-
-def _position(pairs: Pairs) -> list[Tensor]:
-    """Fractional bins, 0 at the centre of bin 0, of `(1, N)` pairs."""
-    theta_h = (pairs.theta_h[0] * (2 / math.pi)).sqrt() * 90
-    return [theta_h - 0.5, pairs.theta_d[0] * (180 / math.pi) - 0.5, pairs.phi_d[0] * (180 / math.pi) - 0.5]
 
 
 def _valid(channels: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
@@ -304,32 +367,20 @@ def _valid(channels: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
     return np.logical_and.reduce([(entries >= 0) & (entries <= LARGEST_ENTRY) for entries in channels])
 
 
-def _entries(file: BinaryIO, start: int, count: int) -> np.ndarray:
-    """Entries from one on; a DataError if the file ends before: it was cut short since it was opened."""
-    file.seek(HEADER.size + 8 * start)
-    found = np.fromfile(file, "<f8", count)
-    if len(found) < count:
-        size = os.fstat(file.fileno()).st_size
-        raise DataError(f"{file.name}: truncated: expected {BYTES} bytes, found {size}")
-    return found
-
-
-def _check_header(path: Path, head: bytes) -> None:
+def _check_header(path: Path, head: bytes, bins: tuple[int, int, int]) -> None:
     """A DataError that says what a table of other dimensions seems to be."""
     dims = HEADER.unpack(head)
-    if dims == BINS:
+    if dims == bins:
         return
-    if struct.unpack(">3i", head) == BINS:
+    if struct.unpack(">3i", head) == bins:
         raise DataError(
             f"{path}: header: expected little-endian numbers, found big-endian ones; swap the bytes of the header's "
             "int32 and of every float64"
         )
     hint = ""
-    if sorted(dims) == sorted(BINS):
+    if sorted(dims) == sorted(bins):
         hint = "; they are in another order"
-    elif dims == (90, 90, 360):
-        hint = "; its phi_d goes over 360 degrees, of which MERL tables, by reciprocity, keep the first 180"
-    raise DataError(f"{path}: header: expected {_by(BINS)} bins (theta_h, theta_d, phi_d), found {_by(dims)}{hint}")
+    raise DataError(f"{path}: header: expected {_by(bins)} bins (theta_h, theta_d, phi_d), found {_by(dims)}{hint}")
 
 
 def _are_swapped(entries: np.ndarray) -> bool:

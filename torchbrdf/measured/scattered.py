@@ -1,4 +1,4 @@
-"""Values between scattered samples of isotropic materials, and how far the nearest sample is.
+"""Values between scattered samples, and how far the nearest sample is.
 
 Light and viewer can change places, and what is mirrored at the plane of incidence is the same: so a pair of directions
 is a place in three coordinates, of the half and difference angles. A sum of lobes is fitted to the samples, of given
@@ -6,6 +6,10 @@ widths and with heights that are not negative. How far values are from it, compr
 about 0, for those slightly below), is a curve over theta_h and a rest, and the rest is interpolated by inverse
 distances (R. Franke and G. Nielson, Smooth Interpolation of Large Sets of Scattered Data, 1980,
 doi:10.1002/nme.1620151110). It was chosen by what it predicts of samples that are left out: benchmarks/scattered.py.
+
+Of anisotropic materials nothing is mirrored, and there are two azimuths more, of the half vector and of the difference
+of both directions: where light and viewer change places, half a turn of the latter. Lobes have two widths, along and
+across a grain, whose direction is that in which samples are bright farthest from the mirror direction.
 """
 
 import math
@@ -28,6 +32,10 @@ _BINS = 40
 _HALF = 2.0
 # Of GGX lobes, alpha; cosines below _LEAST count as it. So many samples are enough to find their heights.
 _WIDTHS, _LEAST, _FITTED = np.geomspace(0.02, 0.7, 9), 0.02, 20_000
+# With a grain: along and across it; fewer, as they come in pairs.
+_TWO, _FITTED_GRAIN = [(a, b) for a in _WIDTHS[::2] for b in _WIDTHS[::2]], 5_000
+# Slopes of half vectors up to which lobes show where the grain lies.
+_STEEP = 1.0
 # Samples nearer than so much, in the coordinates, are repetitions, and their mean counts.
 _SAME = 1e-4
 _TINY = 1e-9
@@ -43,16 +51,18 @@ def tree_of(points: np.ndarray) -> "KDTree":
 class Angles(NamedTuple):
     """Half and difference angles of n pairs, radians, and the product cos_i cos_o, `(n,)` each.
 
-    phi_d is folded to [0, pi/2], by reciprocity and by the mirror.
+    phi_d is folded to [0, pi/2], by reciprocity and by the mirror. `grain`, `(n, 4)`, has the unit vectors of the
+    azimuths of anisotropic materials: of the half vector, and of twice that of the difference.
     """
 
     theta_h: np.ndarray
     theta_d: np.ndarray
     phi_d: np.ndarray
     cosines: np.ndarray
+    grain: np.ndarray | None = None
 
     @classmethod
-    def of(cls, pairs: Pairs, row: int) -> "Angles":
+    def of(cls, pairs: Pairs, row: int, has_grain: bool = False) -> "Angles":
         """Of one material's pairs; every material's, where they share them."""
         own = pairs.select([row])
         theta_h, theta_d, cos_i, cos_o = (
@@ -62,7 +72,8 @@ class Angles(NamedTuple):
         sines = 2 * np.sin(theta_h) * np.sin(theta_d)
         along = np.abs(cos_i - cos_o) / np.where(sines > _TINY, sines, 1)
         cosines = np.maximum(cos_i, _LEAST) * np.maximum(cos_o, _LEAST)
-        return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines)
+        grain = _azimuths(*(part[0].double().cpu().numpy() for part in (own.wi, own.wo))) if has_grain else None
+        return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines, grain)
 
     def _arm(self) -> np.ndarray:
         """How far directions turn as phi_d does: about the half vector or about the normal, which is less."""
@@ -71,12 +82,16 @@ class Angles(NamedTuple):
         return found
 
     def places(self) -> np.ndarray:
-        """Where samples are interpolated, `(n, 3)`: fine about the lobe, and even where values are."""
+        """Where samples are interpolated, `(n, 3 or 5)`: fine about the lobe, and even where values are."""
+        if self.grain is not None:
+            return _with_azimuths(_HALF * np.sqrt(self.theta_h), self.theta_d, self.grain)
         around = self._arm() * np.cos(2 * self.phi_d) / 2
         return np.stack([_HALF * np.sqrt(self.theta_h), self.theta_d, around], -1)
 
-    def lobes(self) -> np.ndarray:
+    def lobes(self, turn: float | None = None) -> np.ndarray:
         """A constant, and GGX lobes of given widths without and with Schlick's rise of Fresnel's, `(n, L)`, in 1/sr.
+
+        With a turn, the azimuth of a grain in radians, they have widths along and across it.
 
         Source: B. Walter et al., Microfacet Models for Refraction through Rough Surfaces, 2007,
         doi:10.2312/EGWR/EGSR07/195-206; the shadowing is E. Hammon's approximation, PBR Diffuse Lighting for GGX+Smith
@@ -84,26 +99,55 @@ class Angles(NamedTuple):
         """
         cos_h = np.maximum(np.cos(self.theta_h), _LEAST)[:, None]
         tan2 = 1 / cos_h**2 - 1
-        distribution = _WIDTHS**2 / (math.pi * cos_h**4 * (_WIDTHS**2 + tan2) ** 2)
+        if turn is None or self.grain is None:
+            widths = _WIDTHS
+            distribution = widths**2 / (math.pi * cos_h**4 * (widths**2 + tan2) ** 2)
+        else:
+            along, across = np.array(_TWO).T
+            widths = np.sqrt(along * across)
+            share = (self.grain[:, :1] * math.cos(turn) + self.grain[:, 1:2] * math.sin(turn)) ** 2
+            slope = tan2 * (share / along**2 + (1 - share) / across**2)
+            distribution = 1 / (math.pi * widths**2 * cos_h**4 * (1 + slope) ** 2)
         both = 2 * (cos_h * np.cos(self.theta_d)[:, None])  # cos_i + cos_o
         product = self.cosines[:, None]
-        visible = distribution / (2 * ((1 - _WIDTHS) * 2 * product + _WIDTHS * np.maximum(both, _LEAST)))
+        visible = distribution / (2 * ((1 - widths) * 2 * product + widths * np.maximum(both, _LEAST)))
         rise = (1 - np.cos(self.theta_d)[:, None]) ** 5
         return np.concatenate([np.ones_like(cos_h), visible, visible * rise], -1)
 
     def turned(self) -> np.ndarray:
-        """Where distances are those by which both directions turn, `(n, 3)`, degrees."""
+        """Where distances are those by which both directions turn, `(n, 3 or 5)`, degrees."""
+        if self.grain is not None:
+            return _with_azimuths(self.theta_h, self.theta_d, self.grain) * (180 / math.pi)
         found: np.ndarray = np.stack([self.theta_h, self.theta_d, self._arm() * self.phi_d], -1) * (180 / math.pi)
         return found
 
 
+def _azimuths(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """Unit vectors of the azimuth of the half vector and of twice that of the difference, `(n, 4)`; 0 where none is."""
+    parts = []
+    for flat in (wi[:, :2] + wo[:, :2], wi[:, :2] - wo[:, :2]):
+        length = np.hypot(flat[:, 0], flat[:, 1])
+        parts.append(flat / np.where(length > _TINY, length, 1)[:, None])
+    half, (cosine, sine) = parts[0], parts[1].T
+    return np.concatenate([half, np.stack([cosine**2 - sine**2, 2 * cosine * sine], -1)], -1)
+
+
+def _with_azimuths(half: np.ndarray, difference: np.ndarray, grain: np.ndarray) -> np.ndarray:
+    """Polar coordinates as places `(n, 5)`: steps along and across the difference have the lengths that they have."""
+    twice = (difference / 2)[:, None] * grain[:, 2:]
+    return np.concatenate([half[:, None] * grain[:, :2], (difference * (math.sqrt(3) / 2))[:, None], twice], -1)
+
+
 class Near(NamedTuple):
-    """What values are made of at n pairs: places with their weights, `(n, k)`, theta_h, `(n,)`, and lobes, `(n, L)`."""
+    """What values are made of at n pairs: places with their weights, `(n, k)`, angles, and lobes, `(n, L)`.
+
+    Lobes are None where each material has its own, by its grain.
+    """
 
     places: Tensor
     weight: Tensor
-    theta_h: np.ndarray
-    lobes: np.ndarray
+    angles: Angles
+    lobes: np.ndarray | None
 
 
 class Places:
@@ -117,10 +161,15 @@ class Places:
         found = angles.places()
         steps = np.round(found / _SAME).astype(np.int64)
         steps -= steps.min(0)
-        key = np.ravel_multi_index(tuple(steps.T), tuple(steps.max(0) + 1))
+        key = np.ravel_multi_index(tuple(steps.T[:3]), tuple(steps.max(0)[:3] + 1))
+        for column in steps.T[3:]:  # all at once they would be too many
+            key = np.unique(key, return_inverse=True)[1] * (column.max() + 1) + column
         _, self.of_sample = np.unique(key, return_inverse=True)
         self.count = np.bincount(self.of_sample)
-        self.angles = Angles(*(self.mean(one) for one in angles))
+        self.has_grain = angles.grain is not None
+        grain = None if angles.grain is None else np.stack([self.mean(axis) for axis in angles.grain.T], -1)
+        theta_h, theta_d, phi_d, cosines = (self.mean(one) for one in angles[:4])
+        self.angles = Angles(theta_h, theta_d, phi_d, cosines, grain)
         self._tree = tree_of(np.stack([self.mean(axis) for axis in found.T], -1))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
@@ -137,7 +186,8 @@ class Places:
         reach = distance[:, -1:] * 1.05
         weight = np.square(1 / distance - 1 / reach)
         weight /= weight.sum(1, keepdims=True)
-        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles.theta_h, angles.lobes())
+        lobes = None if self.has_grain else angles.lobes()
+        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles, lobes)
 
 
 class Surface:
@@ -154,15 +204,17 @@ class Surface:
         self.mean = mean = np.stack([places.mean(channel) for channel in values.T], -1)
         size = np.abs(mean)
         self.scale = max(float(np.quantile(size, 0.02)), 1e-3 * float(size.mean()), 1e-30)
-        lobes = places.angles.lobes()
-        some = slice(None, None, max(1, len(mean) // _FITTED))
+        self._turn = _direction(places.angles, mean.mean(-1))
+        lobes = places.angles.lobes(self._turn)
+        some = slice(None, None, max(1, len(mean) // (_FITTED if self._turn is None else _FITTED_GRAIN)))
         self._heights = _heights(lobes[some], mean[some], self.scale)
-        off = self._compressed(mean) - self._compressed(lobes @ self._heights)
+        off = self.compressed(mean) - self.compressed(lobes @ self._heights)
         self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
         self.rest = off - self._along(places.angles.theta_h)
         self._rest = torch.from_numpy(self.rest)
 
-    def _compressed(self, values: np.ndarray) -> np.ndarray:
+    def compressed(self, values: np.ndarray) -> np.ndarray:
+        """The log of large values, and what is linear about 0."""
         found: np.ndarray = np.arcsinh(values / (2 * self.scale))
         return found
 
@@ -175,7 +227,8 @@ class Surface:
         if near.places.shape[1] == 1:
             return self.mean[near.places[:, 0].numpy()]
         rest = functional.embedding_bag(near.places, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
-        smooth = self._compressed(near.lobes @ self._heights) + self._along(near.theta_h)
+        lobes = near.angles.lobes(self._turn) if near.lobes is None else near.lobes
+        smooth = self.compressed(lobes @ self._heights) + self._along(near.angles.theta_h)
         found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
         return found
 
@@ -186,10 +239,21 @@ def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
     What rises towards the horizon is the same in all channels, as Fresnel's reflection nearly is: each channel's own
     would make colours of noise there.
     """
-    white = slice(1 + len(_WIDTHS), None)
+    white = slice(1 + lobes.shape[1] // 2, None)
     rise = _nonnegative(lobes, values.mean(1), scale)[white]
     own = [_nonnegative(lobes[:, : white.start], one - lobes[:, white] @ rise, scale, one) for one in values.T]
     return np.stack([np.concatenate([one, rise]) for one in own], -1)
+
+
+def _direction(angles: Angles, values: np.ndarray) -> float | None:
+    """The azimuth of the grain, radians: in which bright samples' half vectors tilt most; None without one."""
+    if angles.grain is None:
+        return None
+    slope = np.tan(np.minimum(angles.theta_h, 1.5))
+    weight = np.where(slope < _STEEP, np.maximum(values - np.median(values), 0), 0)
+    tilted = slope[:, None] * angles.grain[:, :2]
+    _, axes = np.linalg.eigh((tilted.T * weight) @ tilted)
+    return math.atan2(axes[1, 1], axes[0, 1])
 
 
 def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.ndarray | None = None) -> np.ndarray:

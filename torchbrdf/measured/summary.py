@@ -12,7 +12,9 @@ _REPEATED, _ROUNDING = 1e-3, 1e-5
 _FEW = 12
 
 
-def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarray) -> dict[str, object]:
+def summary(
+    wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarray, has_grain: bool = False
+) -> dict[str, object]:
     """Facts about samples, by name.
 
     Args:
@@ -20,6 +22,7 @@ def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarra
         wo: Unit vectors to the viewer, `(N, 3)`.
         values: In 1/sr, `(N, 3)`.
         valid: Which of them count, `(N,)`; one at least.
+        has_grain: Whether they are of an anisotropic material.
     """
     wi, wo, known = wi[valid], wo[valid], values[valid]
     theta_i, theta_o = (np.degrees(np.arccos(np.clip(one[:, 2], -1, 1))) for one in (wi, wo))
@@ -28,19 +31,18 @@ def summary(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, valid: np.ndarra
         "angles of the light, degrees": _listed(theta_i),
         "angles of the viewer, degrees": _listed(theta_o),
     }
-    tilted = theta_i > _STEP
-    grain = np.unique(np.round(np.degrees(np.arctan2(wi[tilted, 1], wi[tilted, 0])) / _STEP) * _STEP % 360)
-    if len(grain) > 1:
-        facts["azimuths of the light"] = f"{len(grain)}: read as isotropic, by the mean over them"
     facts |= {
         "invalid share": float(1 - valid.mean()),
         "negative share": float((known < 0).any(-1).mean()),
     }
+    level = np.abs(known.mean(-1))
+    if has_grain:
+        here, there = (np.degrees(np.concatenate(both, -1)) for both in ((wi, wo), (wo, wi)))
+        return facts | _spread("reciprocity error", here, there, known, level, theta_i < theta_o - _STEP)
     # The same light and viewer, mirrored or not; and with both exchanged.
     here, there = (np.stack([*angles, np.abs(turn)], -1) for angles in ((theta_i, theta_o), (theta_o, theta_i)))
     for one, arm in ((here, theta_o), (there, theta_o)):
         one[:, 2] *= np.sin(np.radians(np.minimum(arm, theta_i)))
-    level = np.abs(known.mean(-1))
     facts |= _spread("reciprocity error", here, there, known, level, theta_i < theta_o - _STEP)
     return facts
 

@@ -1,5 +1,7 @@
 """The map between the unit square and a tabulated density, by its marginal and conditional distributions."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -8,6 +10,8 @@ from torchbrdf.measured.grid import neighbours, weighted_rows
 
 class Warp:
     """T densities on the unit square, `(T, H, W)` at the nodes of a grid, bilinear between them, x along W.
+
+    T may be several dimensions, of which each has its place in `invert`; `sample` and `cells` have them as one.
 
     `sample` sends uniform numbers to positions that have the density: the row from the marginal distribution of y, then
     x from the conditional one. `invert` is its inverse, and takes fractional slices: between two slices densities and
@@ -18,6 +22,8 @@ class Warp:
     """
 
     def __init__(self, density: Tensor) -> None:
+        self.slices = tuple(density.shape[:-2])
+        density = density.flatten(0, -3)
         along = _integral(density)
         marginal = _integral(along[..., -1])
         total = marginal[:, -1:]
@@ -56,13 +62,13 @@ class Warp:
         ]
         return torch.stack(parts, -1).flatten(0, 2)
 
-    def invert(self, cells: Tensor, place: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    def invert(self, cells: Tensor, place: Sequence[Tensor], x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Uniform numbers (x, y) of positions in fractional slices, `(N,)` each, with `cells()` in their dtype."""
-        slices, height, width = self.density.shape
+        _, height, width = self.density.shape
         x, y = x * (width - 1), y * (height - 1)
         column, row = (v.floor().clamp(0, size - 2) for v, size in ((x, width), (y, height)))
         x, y = (x - column).clamp(0, 1), (y - row).clamp(0, 1)
-        index, weight = neighbours([place], [slices])
+        index, weight = neighbours(place, self.slices)
         cell = (row * (width - 1) + column).to(torch.int32)
         index = index * ((height - 1) * (width - 1)) + cell[:, None]
         d00, d01, d10, d11, left0, left1, row0, row1, below = weighted_rows(cells, index, weight).unbind(-1)

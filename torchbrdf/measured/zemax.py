@@ -52,7 +52,7 @@ class Zemax(ListedFormat):
             raise DataError(f"{path}: expected at most {100 * _LARGEST} values, found a table of {math.prod(shape)}")
         values = _values(path, lines, shape, said["spectralcontent"].lower())
         rotation, incidence, azimuth, radial = (np.radians(one) for one in np.meshgrid(*axes, indexing="ij"))
-        facts = {"angles": "degrees, about the mirror direction", "symmetry": said["symmetry"]}
+        facts: dict[str, object] = {"angles": "degrees, about the mirror direction", "symmetry": said["symmetry"]}
         facts |= {"content": said["spectralcontent"], "source": said["source"]}
         # With light from +x the mirror direction lies towards -x.
         toward = np.stack([np.cos(incidence), 0 * incidence, np.sin(incidence)], -1)
@@ -62,9 +62,13 @@ class Zemax(ListedFormat):
         wo = (mirror * np.cos(radial)[..., None] + turned * np.sin(radial)[..., None]).reshape(-1, 3)
         theta_o = np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2])
         turn, light = -rotation.reshape(-1), incidence.reshape(-1)
-        phi_o = np.arctan2(wo[:, 1], wo[:, 0]) + turn
-        angles = np.stack([light, turn, theta_o, phi_o], -1)
-        return Listed(angles, values.reshape(-1, 1), None, self.setting("quantity", "brdf"), facts)
+        between, values = np.arctan2(wo[:, 1], wo[:, 0]), values.reshape(-1, 1)
+        angles = np.stack([light, turn, theta_o, between + turn], -1)
+        if said["symmetry"].lower() == _SYMMETRIES[0] and shape[0] > 1:  # of one rotation it would say nothing more
+            angles = np.concatenate([angles, np.stack([light, turn, theta_o, turn - between], -1)])
+            values = np.concatenate([values, values])
+            facts["mirrored"] = "at the plane of incidence, as the symmetry says"
+        return Listed(angles, values, None, self.setting("quantity", "brdf"), facts)
 
 
 def _axis(path: Path, lines: list[str], name: str) -> np.ndarray:

@@ -47,7 +47,8 @@ def readers() -> dict[str, Reader]:
 
 # Without the imports that readers need, so that asking for names is quick.
 NAMES = (
-    *("merl", "rgl", "astm", "bird", "columns", "cornell", "fred", "zemax", "ssdd", "ssdd-binary"),
+    *("merl", "rgl", "alta", "alta-binary", "astm", "bird", "columns", "cornell", "fred", "openmaterial", "zemax"),
+    *("astm-grain", "utia", "merl_single", "rgl-anisotropic", "ssdd", "ssdd-binary"),
     *("fits", "standins", "continued", "metric"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),

@@ -4,8 +4,20 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from helpers.listed_files import angles, astm, bird, columns, cornell, fred, ssdd, zemax
-from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
+from helpers.listed_files import (
+    alta,
+    angles,
+    astm,
+    bird,
+    columns,
+    cornell,
+    fred,
+    openmaterial,
+    ssdd,
+    unit_vectors,
+    zemax,
+)
+from helpers.measured_files import anisotropic_bsdf, synthetic_bsdf, synthetic_raw, tensor_file, utia, write_raw_merl
 
 from fuzzing.changes.byte import TEXT
 from fuzzing.changes.of_arrays import bsdf
@@ -26,12 +38,49 @@ def make_merl(folder: Path) -> None:
     write_raw_merl(folder / "fuzzed.binary", synthetic_raw(0))
 
 
+def make_merl_single(folder: Path) -> None:
+    path = write_raw_merl(folder / "fuzzed.binary", synthetic_raw(0))
+    head, entries = path.read_bytes()[:12], synthetic_raw(0).astype("<f4")
+    path.write_bytes(head + entries.tobytes())
+
+
 def make_rgl(folder: Path) -> None:
     (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(synthetic_bsdf()))
 
 
+def make_rgl_anisotropic(folder: Path) -> None:
+    (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(anisotropic_bsdf(size=6, azimuths=5, angles=4)))
+
+
 def make_astm(folder: Path) -> None:
     (folder / "fuzzed.astm").write_text(astm(angles(20)))
+
+
+def make_alta(folder: Path) -> None:
+    (folder / "fuzzed.alta").write_text(alta(angles(20), vs=1))
+
+
+def make_alta_binary(folder: Path) -> None:
+    (folder / "fuzzed.alta").write_bytes(alta(angles(20), name="CARTESIAN", place=unit_vectors, order="little"))
+
+
+def make_openmaterial(folder: Path) -> None:
+    (folder / "fuzzed.xompt").write_text(openmaterial(angles(30)))
+
+
+def make_utia(folder: Path) -> None:
+    (folder / "fuzzed.bin").write_bytes(utia().astype("<f8").tobytes())
+
+
+def make_grain(folder: Path) -> None:
+    """Light from two azimuths, half as bright from one of them."""
+    first = astm(angles(20, (20, 50)))
+    start = first.index("VARS")
+    rows = [line.split(",") for line in first[start:].splitlines()[2:]]
+    turned = [[*row[:4], *(f"{float(value) / 2:.9g}" for value in row[4:])] for row in rows]
+    for row in turned:
+        row[1], row[3] = (f"{float(angle) + 1.5707963:.9g}" for angle in (row[1], row[3]))
+    (folder / "fuzzed.astm").write_text(first + "\n".join(",".join(row) for row in turned) + "\n")
 
 
 def make_cornell(folder: Path) -> None:
@@ -81,7 +130,7 @@ def use_measured(path: Path) -> None:
     check_finite(sampled.values[valid.expand_as(sampled.values)], "values")
     found = sampled.at(check_pairs())
     check_finite(found, "at")
-    if measured.source.format == "merl":  # others may be below 0: colours out of gamut, published fits
+    if measured.source.format.startswith("merl"):  # others may be below 0: colours out of gamut, published fits
         check_brdf(found, "at")
 
 
@@ -152,14 +201,21 @@ def use_metric(path: Path) -> None:
 
 READERS = (
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
+    Reader("merl_single", "fuzzed.binary", make_merl_single, use_measured, (merl,), share=0.1, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("rgl-anisotropic", "fuzzed_rgb.bsdf", make_rgl_anisotropic, use_measured, (bsdf, bsdf), renamed=True),
+    Reader("alta", "fuzzed.alta", make_alta, use_listed, (*TABLE, *TEXT), renamed=True),
+    Reader("alta-binary", "fuzzed.alta", make_alta_binary, use_listed, TEXT, renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
+    Reader("astm-grain", "fuzzed.astm", make_grain, use_listed, (*TEXT, *TABLE), renamed=True),
     Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
     Reader("ssdd", "fuzzed.ssdd", make_ssdd, use_listed, TEXT, renamed=True),
     Reader("ssdd-binary", "fuzzed.ssdd", make_ssdd_binary, use_listed, TEXT, renamed=True),
+    Reader("openmaterial", "fuzzed.xompt", make_openmaterial, use_listed, (*JSON, *TEXT), renamed=True),
+    Reader("utia", "fuzzed.bin", make_utia, use_listed, (), share=0.3, renamed=True),
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
