@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from torchbrdf.errors import ShapeError
+from torchbrdf.errors import ShapeError, shown
 from torchbrdf.registry import unknown
 
 Illuminant = Literal["D65", "E"]
@@ -14,6 +14,8 @@ DEFAULT_ILLUMINANT = "D65"
 
 VISIBLE = (380.0, 780.0)
 """Wavelengths, in nm, that colours are sums over."""
+LONGEST = 1e6
+"""No wavelength of a reflectance, in nm, is as long."""
 _STEP = 5.0
 # Spectral power at 380, 390, ..., 780 nm. Source: CIE 015:2018, Colorimetry, table 1.
 _D65 = (
@@ -58,6 +60,32 @@ def color_matching(wavelength: np.ndarray) -> np.ndarray:
         return found
 
     return np.stack([np.sum([lobe(*one) for one in lobes], 0) for lobes in _LOBES], -1)
+
+
+def checked_wavelengths(wavelengths: Sequence[float], channels: int) -> tuple[float, ...]:
+    """Wavelengths that are some: finite numbers above 0 that grow, one for each of so many channels.
+
+    Args:
+        wavelengths: Of the bands, nm.
+        channels: How many there must be.
+
+    Raises:
+        ShapeError: They are not.
+
+    Example:
+        >>> from torchbrdf.measured.bands import checked_wavelengths
+        >>> checked_wavelengths([465, 525, 630], 3)
+        (465.0, 525.0, 630.0)
+    """
+    try:
+        found = tuple(map(float, wavelengths))
+    except (TypeError, ValueError):
+        raise ShapeError(f"wavelengths: expected {channels} numbers, in nm, found {shown(wavelengths)}") from None
+    if len(found) != channels:
+        raise ShapeError(f"wavelengths: expected {channels}, one for each channel, found {len(found)}")
+    if not all(0 < one < other for one, other in zip(found, (*found[1:], LONGEST), strict=True)):
+        raise ShapeError(f"wavelengths: expected numbers that grow, in nm, found {shown(found)}")
+    return found
 
 
 def rgb_weights(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILLUMINANT) -> np.ndarray:

@@ -35,7 +35,7 @@ class Lookup(NamedTuple):
     """Interpolated values, and how many of them had no valid neighbour.
 
     Attributes:
-        values: BRDF values in 1/sr, `(M, N, 3)`.
+        values: BRDF values in 1/sr, `(M, N, C)`.
         filled: Of each material, how many pairs took the nearest valid value, `(M,)`, int64.
     """
 
@@ -53,6 +53,8 @@ class BrdfFormat(ABC):
         names: Of the materials, M.
         paths: The file of each material.
         pairs: The directions of the data, float64 on the CPU, `(1, N)` shared or `(M, N)`.
+        channels: How many numbers a value has, C: 3 of linear RGB, else one a band.
+        wavelengths: Of the C bands, nm, growing; None of linear RGB, and where nobody knows them.
         stand_in: Whether the values come from a model that stands in for a measurement.
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
         is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
@@ -69,6 +71,8 @@ class BrdfFormat(ABC):
     names: Sequence[str]
     paths: Sequence[Path]
     pairs: Pairs
+    channels: int = 3
+    wavelengths: tuple[float, ...] | None = None
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
     is_reciprocal: ClassVar[bool] = False
@@ -104,7 +108,7 @@ class BrdfFormat(ABC):
             samples: Indices `(n,)` of pairs, or a slice of them.
 
         Returns:
-            Values in 1/sr, `(m, n, 3)`, and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0.
+            Values in 1/sr, `(m, n, C)`, and weights `(m, n, 1)`: 1 for valid samples, else 0 and the value 0.
         """
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
@@ -118,7 +122,7 @@ class BrdfFormat(ABC):
         Raises:
             DataError: A material has no valid sample.
         """
-        values = pairs.cos_i.new_empty((len(materials), len(pairs), 3))
+        values = pairs.cos_i.new_empty((len(materials), len(pairs), self.channels))
         for row, part, near, surface in self._looked_up(pairs, materials, 1 if interpolation == "nearest" else None):
             values[row, part] = torch.from_numpy(surface.at(near)).to(values)
         filled = [self._filled(pairs, row, material) for row, material in enumerate(materials)]

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, ShapeError, UsageError, shown
+from torchbrdf.measured.bands import checked_wavelengths
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs, check_max_theta
@@ -35,9 +36,18 @@ class Samples(BrdfFormat):
 
     format = "samples"
 
-    def __init__(self, pairs: Pairs, values: Tensor, weight: Tensor | None, names: Sequence[str] | None) -> None:
-        if values.dim() != 3 or values.shape[-1] != 3 or values.shape[1] != len(pairs):
-            raise ShapeError(f"Measured: expected values (M, {len(pairs)}, 3), found {(*values.shape,)}")
+    def __init__(
+        self,
+        pairs: Pairs,
+        values: Tensor,
+        weight: Tensor | None,
+        names: Sequence[str] | None,
+        wavelengths: Sequence[float] | None = None,
+    ) -> None:
+        if values.dim() != 3 or not values.shape[-1] or values.shape[1] != len(pairs):
+            raise ShapeError(f"Measured: expected values (M, {len(pairs)}, C), found {(*values.shape,)}")
+        self.channels = values.shape[-1]
+        self.wavelengths = None if wavelengths is None else checked_wavelengths(wavelengths, self.channels)
         if names is not None and len(names) != len(values):
             raise ShapeError(f"Measured: {len(names)} names for {len(values)} materials")
         valid = values.isfinite().all(-1, keepdim=True) & pairs.above_horizon[..., None]
@@ -52,7 +62,7 @@ class Samples(BrdfFormat):
     def select(self, materials: list[int]) -> "Samples":
         """Some materials, where all share the pairs."""
         names = [self.names[k] for k in materials]
-        return Samples(self.pairs, self.values[materials], self.weight[materials], names)
+        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self.wavelengths)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -65,7 +75,7 @@ class Samples(BrdfFormat):
         raise DataError(f"{paths[0]}: samples do not come from files")
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """The given values `(m, n, 3)` and weights `(m, n, 1)`."""
+        """The given values `(m, n, C)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
 
 
@@ -80,7 +90,8 @@ def _same(one: Tensor | None, other: Tensor | None) -> bool:
 class Measured:
     """Measured BRDFs of M materials on N pairs of directions, from `load` or from `from_samples`.
 
-    `pairs` are the directions, `values` `(M, N, 3)` the BRDF in 1/sr without the cosine, and `weight` `(M, N, 1)` is 1
+    `pairs` are the directions, `values` `(M, N, C)` the BRDF in 1/sr without the cosine, in linear RGB (C is 3) or in
+    bands, whose `wavelengths` are given where they are known; and `weight` `(M, N, 1)` is 1
     for valid samples; invalid ones have weight 0 and value 0. Tables are big: values and weights are read at first
     use, and `batch` gives a part that reads only its own.
 
@@ -119,19 +130,25 @@ class Measured:
 
     @classmethod
     def from_samples(
-        cls, pairs: Pairs, values: Tensor, weight: Tensor | None = None, names: Sequence[str] | None = None
+        cls,
+        pairs: Pairs,
+        values: Tensor,
+        weight: Tensor | None = None,
+        names: Sequence[str] | None = None,
+        wavelengths: Sequence[float] | None = None,
     ) -> "Measured":
         """Measured BRDFs from tensors.
 
         Args:
             pairs: Where the values were measured, `(N,)`, `(1, N)` or `(M, N)`.
-            values: In 1/sr without the cosine, `(M, N, 3)`; samples that are not finite or below the horizon get
-                weight 0.
+            values: In 1/sr without the cosine, `(M, N, C)`: linear RGB, or bands; samples that are not finite or below
+                the horizon get weight 0.
             weight: How much each sample counts, which broadcasts to `(M, N, 1)`; by default 1.
             names: Of the M materials.
+            wavelengths: Of the C bands, nm, growing; None: linear RGB where C is 3, else unknown.
 
         Raises:
-            ShapeError: The shapes do not fit together.
+            ShapeError: The shapes do not fit together, or wavelengths do not grow.
             DataError: A name is none.
 
         Example:
@@ -141,13 +158,23 @@ class Measured:
             tensor([1., 1.])
         """
         if not isinstance(values, Tensor):
-            raise ShapeError(f"Measured: values: expected a tensor (M, N, 3), found {shown(values)}")
-        return cls(Samples(pairs, values, weight, names), dtype=values.dtype, device=values.device)
+            raise ShapeError(f"Measured: values: expected a tensor (M, N, C), found {shown(values)}")
+        return cls(Samples(pairs, values, weight, names, wavelengths), dtype=values.dtype, device=values.device)
 
     @property
     def names(self) -> list[str]:
         """Names of the materials."""
         return [self.source.names[k] for k in self.materials]
+
+    @property
+    def channels(self) -> int:
+        """How many numbers a value has, C: 3 of linear RGB, else one a band."""
+        return self.source.channels
+
+    @property
+    def wavelengths(self) -> tuple[float, ...] | None:
+        """Of the C bands, nm, growing; None of linear RGB, and where nobody knows them."""
+        return self.source.wavelengths
 
     @property
     def stand_in(self) -> bool:
@@ -258,7 +285,7 @@ class Measured:
     def _data(self) -> tuple[Tensor, Tensor]:
         samples = slice(None) if self.samples is None else self.samples.cpu()
         shape = (len(self), len(self.source.pairs if self.samples is None else self.samples))
-        values = torch.empty(*shape, 3, dtype=self.dtype, device=self.device)
+        values = torch.empty(*shape, self.channels, dtype=self.dtype, device=self.device)
         weight = torch.empty(*shape, 1, dtype=self.dtype, device=self.device)
         for row, material in enumerate(self.materials):  # one at a time, so that only one is ever held in float64
             read = self.source.read([material], samples)
@@ -275,7 +302,7 @@ class Measured:
 
     @property
     def values(self) -> Tensor:
-        """BRDF values in 1/sr, `(M, N, 3)`."""
+        """BRDF values in 1/sr, `(M, N, C)`."""
         return self._data[0]
 
     @property
@@ -291,7 +318,7 @@ class Measured:
             interpolation: "linear" or "nearest".
 
         Returns:
-            Values in 1/sr, `(M, N, 3)`, zero below the horizon; dtype and device are the pairs'.
+            Values in 1/sr, `(M, N, C)`, zero below the horizon; dtype and device are the pairs'.
 
         Raises:
             ShapeError: The pairs fit neither one nor all materials.
@@ -390,7 +417,7 @@ class Measured:
         it was measured thereabouts.
 
         Returns:
-            `(M, 3)`, without a unit.
+            `(M, C)`, without a unit.
         """
         value = self.at(reading_45_0())[:, 0]
         return (math.pi * value).clamp(0, 1).to(self.device, self.dtype)
