@@ -7,16 +7,22 @@ from torchbrdf.measured.columns import Columns
 from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
+from torchbrdf.measured.fourier import Fourier
 from torchbrdf.measured.fred import Fred
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.klems import Klems
+from torchbrdf.measured.lighttools import LightTools
 from torchbrdf.measured.load import load, load_all
+from torchbrdf.measured.mbsdf import Mbsdf
 from torchbrdf.measured.measured import Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.merl_table import merl_values
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
+from torchbrdf.measured.speos import Speos
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.tensor_tree import TensorTree
 from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
@@ -29,14 +35,20 @@ __all__ = [
     "BrdfFormat",
     "Columns",
     "Cornell",
+    "Fourier",
     "Fred",
+    "Klems",
+    "LightTools",
     "Lookup",
+    "Mbsdf",
     "Measured",
     "Merl",
     "Plausibility",
     "Rgl",
     "Samples",
+    "Speos",
     "StandIn",
+    "TensorTree",
     "Zemax",
     "check",
     "contrast_gloss",
