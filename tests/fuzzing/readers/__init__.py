@@ -47,6 +47,7 @@ def readers() -> dict[str, Reader]:
 
 # Without the imports that readers need, so that asking for names is quick.
 NAMES = (
+    *("fourier", "fourier-gz", "klems", "lighttools", "mbsdf", "speos", "speos-binary", "speos-brdf", "tensor-tree"),
     *("merl", "rgl", "astm", "bird", "columns", "cornell", "fred", "zemax", "fits", "standins", "continued", "metric"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
