@@ -61,15 +61,15 @@ class _Series(NamedTuple):
         turn = phi_o - phi_i + math.pi  # 0 at the mirror direction
         length = self.terms.shape[1] // self.channels
         order = torch.arange(length, dtype=wi.dtype, device=wi.device)
-        terms = self.terms.to(wi)
+        terms = self.terms.to(wi.device)
         found = wi.new_empty(len(wi), self.channels)
         for part in torch.arange(len(wi), device=wi.device).split(max(1, _HELD // (self.terms.shape[1] + length))):
             light, share = _spline(self.light.to(wi), wi[part, 2], interpolation)
             viewer, weight = _spline(self.viewer.to(wi), wo[part, 2], interpolation)
             rows = (light[:, :, None] * len(self.viewer) + viewer[:, None, :]).flatten(1)
-            series = weighted_rows(terms, rows, (share[:, :, None] * weight[:, None, :]).flatten(1))
-            wave = torch.cos(turn[part, None] * order)
-            found[part] = (series.view(-1, self.channels, length) * wave[:, None]).sum(-1)
+            counted = (share[:, :, None] * weight[:, None, :]).flatten(1).to(terms)
+            series = weighted_rows(terms, rows, counted).to(wi).view(-1, self.channels, length)
+            found[part] = torch.bmm(series, torch.cos(turn[part, None] * order)[..., None])[..., 0]
         return found.clamp_min(0) / wi[:, 2:].clamp_min(LEAST_COSINE)
 
 
