@@ -84,6 +84,7 @@ class Fourier(ListedFormat):
 
     format = "fourier"
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    is_sampled: ClassVar[bool] = False
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self._series: list[_Series] = []

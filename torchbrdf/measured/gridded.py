@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -16,6 +16,8 @@ from torchbrdf.pairs import Pairs
 
 # Cosines of light that has an azimuth, and samples that are compared with those of exchanged directions.
 _TILTED, _COMPARED = 1 - 1e-6, 4000
+# What samples alone would say of it.
+_OF_GRAINS = ("anisotropic", "azimuths of the light")
 
 
 class Grid(Protocol):
@@ -50,9 +52,16 @@ class GriddedFormat(ListedFormat):
         settings: What their reader is told.
     """
 
+    is_sampled: ClassVar[bool] = False
+
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self._grids: list[Grid] = []
         super().__init__(paths, settings)
+        # Tables say themselves whether they have a grain, and samples need not be asked.
+        self.is_anisotropic = any(grid.is_anisotropic for grid in self._grids)
+        for one in self._read:
+            for name in _OF_GRAINS:
+                one.facts.pop(name, None)
 
     @abstractmethod
     def gridded(self, path: Path) -> tuple[Listed, Grid]:
@@ -64,10 +73,9 @@ class GriddedFormat(ListedFormat):
         self._grids.append(grid)
         return listed
 
-    @property
-    def is_anisotropic(self) -> bool:  # type: ignore[override]
-        """Whether one of the tables is."""
-        return any(grid.is_anisotropic for grid in self._grids)
+    def has_grain(self, material: int) -> bool:
+        """Whether a material's table is anisotropic."""
+        return self._grids[material].is_anisotropic
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, from the samples around them in each material's table."""
@@ -111,7 +119,8 @@ class GriddedFormat(ListedFormat):
 
     def _exchanged(self, material: int) -> dict[str, object]:
         """What an anisotropic table is like: azimuths of the light, and how alike exchanged directions are."""
-        wi, wo, values, valid, _ = self._read[material]
+        one = self._read[material]
+        wi, wo, values, valid = one.wi, one.wo, one.values, one.valid
         tilted = valid & (wi[:, 2] < _TILTED)
         around = torch.atan2(wi[tilted, 1], wi[tilted, 0]).rad2deg().mul(10).round().remainder(3600)
         some = valid.nonzero()[:, 0]

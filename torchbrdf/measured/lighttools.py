@@ -10,9 +10,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
-from torchbrdf.measured.bands import ILLUMINANTS, LONGEST
+from torchbrdf.measured.bands import LONGEST
 from torchbrdf.measured.format import FORMATS
-from torchbrdf.measured.listed import QUANTITIES, Listed, ListedFormat
+from torchbrdf.measured.listed import SETTINGS, Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
 from torchbrdf.measured.tristimulus import rgb_of_reflected
 from torchbrdf.reading import check_unpacked
@@ -59,8 +59,7 @@ class LightTools(ListedFormat):
     settings: ClassVar = {
         "side": ("auto", "front", "back"),
         "light_azimuth": ("90", "poi"),
-        "quantity": QUANTITIES,
-        "illuminant": ILLUMINANTS,
+        **{name: values for name, values in SETTINGS.items() if name != "angles"},
     }
 
     @classmethod

@@ -11,9 +11,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
-from torchbrdf.measured.bands import ILLUMINANTS, LONGEST
+from torchbrdf.measured.bands import LONGEST
 from torchbrdf.measured.format import FORMATS
-from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.listed import SETTINGS, Listed, ListedFormat
 from torchbrdf.measured.rows import text_lines
 from torchbrdf.measured.speos_file import BinaryCursor, Cursor, TextCursor
 from torchbrdf.reading import check_unpacked, read_bytes
@@ -61,7 +61,7 @@ class Speos(ListedFormat):
     """
 
     format = "speos"
-    settings: ClassVar = {"illuminant": ILLUMINANTS}
+    settings: ClassVar = {name: values for name, values in SETTINGS.items() if name not in ("angles", "quantity")}
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
