@@ -1,29 +1,17 @@
 """Measured BRDFs, fits in their place, and learned metrics."""
 
-from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
 import torch
 from helpers.listed_files import angles, astm, bird, columns, cornell, fred, zemax
 from helpers.measured_files import synthetic_bsdf, synthetic_raw, tensor_file, write_raw_merl
-from helpers.table_files import (
-    fourier,
-    klems,
-    lighttools,
-    mbsdf,
-    speos,
-    speos_binary,
-    speos_spectral,
-    tensor_tree,
-)
 
 from fuzzing.changes.byte import TEXT
 from fuzzing.changes.of_arrays import bsdf
 from fuzzing.changes.of_formats import merl
 from fuzzing.changes.of_json import JSON
 from fuzzing.changes.of_table import TABLE
-from fuzzing.changes.of_xml import XML
 from fuzzing.readers import Reader
 from fuzzing.sane import check_brdf, check_finite, check_line, check_name, check_pairs, expect, later
 from torchbrdf import load
@@ -65,34 +53,6 @@ def make_columns(folder: Path) -> None:
 
 def make_bird(folder: Path) -> None:
     (folder / "fuzzed.brdf").write_text(bird(angles(30)))
-
-
-def maker(name: str, data: bytes | str) -> Callable[[Path], None]:
-    """What writes a file with these bytes, or this text, into a folder."""
-
-    def make(folder: Path) -> None:
-        (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
-
-    return make
-
-
-def of_tables() -> tuple[Reader, ...]:
-    """Those of tables that tools of lighting and rendering write."""
-    rows = {
-        "fourier": ("fuzzed.bsdf", fourier(cosines=6), ()),
-        "fourier-gz": ("fuzzed.bsdf.gz", fourier(cosines=6, packed=True), ()),
-        "klems": ("fuzzed.xml", klems("two rings"), (*XML, *TEXT)),
-        "lighttools": ("fuzzed.bsdf", lighttools(), (*TEXT, *TABLE)),
-        "mbsdf": ("fuzzed.mbsdf", mbsdf(4, 5, rgb=True), ()),
-        "speos": ("fuzzed.anisotropicbsdf", speos(parts=(1, 1)), TEXT),
-        "speos-binary": ("fuzzed.anisotropicbsdf", speos_binary(), ()),
-        "speos-brdf": ("fuzzed.brdf", speos_spectral(), TEXT),
-        "tensor-tree": ("fuzzed.xml", tensor_tree(3), (*XML, *TEXT)),
-    }
-    return tuple(
-        Reader(name, file, maker(file, data), use_listed, changes, share=0.5, renamed=True)
-        for name, (file, data, changes) in rows.items()
-    )
 
 
 def use_listed(path: Path) -> None:
@@ -186,7 +146,6 @@ def use_metric(path: Path) -> None:
 
 
 READERS = (
-    *of_tables(),
     Reader("merl", "fuzzed.binary", make_merl, use_measured, (merl,), share=0.2, renamed=True),
     Reader("rgl", "fuzzed_rgb.bsdf", make_rgl, use_measured, (bsdf, bsdf), renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
