@@ -25,6 +25,7 @@ from helpers.table_files import (
     window_xml,
 )
 
+from torchbrdf.cli import main
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.measured import describe, load
 from torchbrdf.pairs import Pairs
@@ -148,6 +149,22 @@ def test_parts_colours_and_the_mirror_direction(tmp_path):
     torch.testing.assert_close(other.values[0, :, 0], expected(other.pairs), rtol=1e-5, atol=1e-8)
 
 
+def test_cells_without_a_value_are_passed_over(tmp_path):
+    """Their neighbours count, and where there are none, the nearest cell with a value."""
+    whole = mbsdf(6, 6)
+    size = 6**3 * 4
+    values = np.frombuffer(whole[-size:], "<f4").reshape(6, 6, 6).copy()
+    values[:4] = np.nan
+    measured = opened(tmp_path, whole[:-size] + values.tobytes())
+    assert (measured.weight == 0).sum() == 4 * 36 and describe(tmp_path / "made-up.dat")["invalid share"] > 0.6
+    up = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+    found = measured.lookup(Pairs.from_directions(up[None], up[None]))
+    assert found.filled.tolist() == [1] and found.values.min() > 0
+    low = torch.tensor([[math.sin(1.1), 0.0, math.cos(1.1)]], dtype=torch.float64)  # between a missing cell and one
+    found = measured.lookup(Pairs.from_directions(low[None], up[None]))
+    assert found.filled.tolist() == [0] and found.values.min() > 0
+
+
 # WINDOW's matrices
 
 
@@ -226,6 +243,15 @@ def test_tristimulus_values_become_colours(tmp_path):
         tmp_path, window_xml([klems_block(band=b, scale=s) for b, s in zip(parts, (1.2, 1, 0.6), strict=True)])
     )
     assert (red.values[..., 0] > red.values[..., 2]).all()
+
+
+def test_the_command_is_told_and_says_what_was_taken(tmp_path, capsys):
+    path = str(written(tmp_path, window_xml([klems_block(band="Solar"), klems_block(band="NIR")])))
+    assert main(["info", path, "--read", "band=nir"]) == 0
+    said = capsys.readouterr().out
+    assert "nir; passed over: 'solar'" in said and "back; the file has reflection back" in said
+    assert main(["info", path, "--read", "band=uv"]) == 2
+    assert "unknown band 'uv'" in capsys.readouterr().err
 
 
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
@@ -436,6 +462,13 @@ def test_angles_of_the_grain(tmp_path):
     torch.testing.assert_close(
         (wi * turned.pairs.wo[0, half:]).sum(-1), (once.pairs.wi * once.pairs.wo)[0].sum(-1), rtol=0, atol=1e-9
     )
+
+
+def test_comments_and_descriptions_may_be_empty_or_long(tmp_path):
+    text = speos()
+    wanted = opened(tmp_path, text).values
+    for other in ("\n0\n\n", "comment\n11\na\nbc\nd 1 2 3\n"):
+        assert torch.equal(opened(tmp_path, text.replace("comment\n7\nmade up\n", other)).values, wanted)
 
 
 def test_only_the_reflection_is_read(tmp_path):

@@ -63,7 +63,9 @@ class _Series(NamedTuple):
         order = torch.arange(length, dtype=wi.dtype, device=wi.device)
         terms = self.terms.to(wi.device)
         found = wi.new_empty(len(wi), self.channels)
-        for part in torch.arange(len(wi), device=wi.device).split(max(1, _HELD // (self.terms.shape[1] + length))):
+        for part in torch.arange(len(wi), dtype=torch.int64, device=wi.device).split(
+            max(1, _HELD // (self.terms.shape[1] + length))
+        ):
             light, share = _spline(self.light.to(wi), wi[part, 2], interpolation)
             viewer, weight = _spline(self.viewer.to(wi), wo[part, 2], interpolation)
             rows = (light[:, :, None] * len(self.viewer) + viewer[:, None, :]).flatten(1)

@@ -133,6 +133,7 @@ class Klems(WindowFormat):
     """
 
     format = "klems"
+    has_colors = True
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

@@ -59,8 +59,12 @@ class WindowFormat(GriddedFormat):
 
     The frame of the front is the file's, seen from there, with its y the other way round, so that it is right-handed;
     Radiance calls that side the back.
+
+    Attributes:
+        has_colors: Whether tristimulus values are read, and not luminance alone.
     """
 
+    has_colors: ClassVar[bool] = False
     settings: ClassVar = {"side": ("auto", "front", "back"), "band": ("auto", *BANDS), "quantity": QUANTITIES}
 
     def chosen(self, path: Path, document: Document) -> Chosen:
@@ -84,7 +88,7 @@ class WindowFormat(GriddedFormat):
         rest = [name for name in own if name != band]
         facts: dict[str, object] = {"material": shown(document.material)} if document.material else {}
         facts["side"] = f"{side}; the file has {words}" + ("" if told == side else "; --read side=front, side=back")
-        if set(TRISTIMULUS) <= set(own) and band == "visible":
+        if self.has_colors and set(TRISTIMULUS) <= set(own) and band == "visible":
             own, rest = {name: own[name] for name in TRISTIMULUS}, [name for name in rest if name not in TRISTIMULUS]
         else:
             own = {band: own[band]}
