@@ -151,7 +151,7 @@ def tensor_tree(rank=3, direction="Reflection Back", data=None, **options):
     return window_xml([block], f"TensorTree{rank}")
 
 
-def fourier(terms=None, cosines=12, channels=1, *, flags=1, bases=1, packed=False, reflects=True):
+def fourier(terms=None, cosines=12, channels=1, *, flags=1, bases=1, packed=False, reflects=True, says=b""):
     """Bytes of pbrt's Fourier BSDF: `terms(cos_i, cos_o)` gives those of f |cos_i|; by default a Lambertian of 0.6."""
     terms = terms or (lambda cos_i, cos_o: [0.6 / np.pi * cos_i])
     half = np.linspace(0, 1, cosines) ** 1.5
@@ -164,9 +164,11 @@ def fourier(terms=None, cosines=12, channels=1, *, flags=1, bases=1, packed=Fals
             lists.append((len(numbers), own.shape[-1] if own.size else 0))
             numbers += own.reshape(-1).tolist()
     longest = max(length for _, length in lists)
-    head = struct.pack("<6i3if4i", flags, len(mu), len(numbers), longest, channels, bases, 0, 0, 0, 1.5, 0, 0, 0, 0)
+    head = struct.pack(
+        "<9if4i", flags, len(mu), len(numbers), longest, channels, bases, len(says), 0, 0, 1.5, 0, 0, 0, 0
+    )
     parts = [mu, np.zeros(len(mu) ** 2, "<f4"), np.array(lists, "<i4"), np.array(numbers, "<f4")]
-    data = b"SCATFUN\x01" + head + b"".join(part.tobytes() for part in parts)
+    data = b"SCATFUN\x01" + head + b"".join(part.tobytes() for part in parts) + says
     return gzip.compress(data, mtime=0) if packed else data
 
 

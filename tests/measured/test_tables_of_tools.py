@@ -342,6 +342,12 @@ def test_a_lambertian_is_exact_everywhere(tmp_path):
     assert load(written(tmp_path, fourier(packed=True), "steel.bsdf.gz")).names == ["steel"]
 
 
+def test_what_a_file_says_of_itself(tmp_path):
+    measured = opened(tmp_path, fourier(says=b"made by hand\n"))
+    assert describe(tmp_path / "made-up.dat")["says"] == "'made by hand\\n'"
+    assert torch.equal(measured.values, opened(tmp_path, fourier(), "plain").values)
+
+
 def test_series_have_a_closed_form(tmp_path):
     """Terms r^k make (1 - r cos) / (1 - 2 r cos + r^2), highest at the mirror direction."""
     r = 0.5
@@ -371,8 +377,8 @@ def test_sums_below_zero_are_none_and_three_channels_are_colours(tmp_path):
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        (fourier(flags=2), "expected flags 1, 1 or 3 channels and 1 basis, found 2, 1 and 1"),
-        (fourier(bases=3), "found 1, 1 and 3"),
+        (fourier(flags=2), "expected flags 1, 1 or 3 channels, 1 basis and no parameters, found 2, 1, 1 and 0"),
+        (fourier(bases=3), "found 1, 1, 3 and 0"),
         (fourier(reflects=False), "above 0"),
         (fourier()[:-1], "bytes for 24 cosines, found"),
         (fourier() * 2, "bytes for 24 cosines, found"),

@@ -175,15 +175,15 @@ def _read(path: Path, data: bytes) -> tuple[_Series, dict[str, object]]:
     """The reflecting half of a file, and what there is to say about it."""
     if not data.startswith(_VERSION) or len(data) < _HEADER:
         raise DataError(f"{path}: expected {_EXPECTED}, version 1, found {shown(data[:8])} and {len(data)} bytes")
-    flags, size, count, order, channels, bases = struct.unpack_from("<6i", data, len(MAGIC) + 1)
+    flags, size, count, order, channels, bases, said, *more = struct.unpack_from("<9i", data, len(MAGIC) + 1)
     (eta,) = struct.unpack_from("<f", data, 44)
-    if flags != 1 or channels not in (1, 3) or bases != 1:
-        found = f"{flags}, {channels} and {bases}"
-        raise DataError(f"{path}: expected flags 1, 1 or 3 channels and 1 basis, found {found}")
-    if not (1 < size <= _LARGEST and count > 0 and 0 < order <= _LARGEST):
+    if flags != 1 or channels not in (1, 3) or bases != 1 or any(more):
+        found = f"{flags}, {channels}, {bases} and {sum(more)}"
+        raise DataError(f"{path}: expected flags 1, 1 or 3 channels, 1 basis and no parameters, found {found}")
+    if not (1 < size <= _LARGEST and count > 0 and 0 < order <= _LARGEST and said >= 0):
         found = f"{size}, {count} and {order}"
         raise DataError(f"{path}: expected counts of cosines, coefficients and orders above 0, found {found}")
-    expected = _HEADER + 4 * size + 12 * size * size + 4 * count
+    expected = _HEADER + 4 * size + 12 * size * size + 4 * count + said
     if len(data) != expected:
         raise DataError(f"{path}: expected {expected} bytes for {size} cosines, found {len(data)}")
     nodes = np.frombuffer(data, "<f4", size, _HEADER).astype(np.float64)
@@ -203,6 +203,8 @@ def _read(path: Path, data: bytes) -> tuple[_Series, dict[str, object]]:
         "series": f"{half} x {half} cosines, up to {int(own[:, 1].max(initial=0))} terms, splines between",
         "index of refraction": round(float(eta), 4) if math.isfinite(eta) else None,
     }
+    if said:
+        facts["says"] = shown(data[-said:].decode("utf-8", "replace"), 200)
     return _Series(torch.from_numpy(light), torch.from_numpy(viewer), torch.from_numpy(terms), channels), facts
 
 
