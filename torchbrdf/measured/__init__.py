@@ -8,9 +8,13 @@ from torchbrdf.measured.columns import Columns
 from torchbrdf.measured.cornell import Cornell
 from torchbrdf.measured.describe import describe
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Lookup
+from torchbrdf.measured.fourier import Fourier
 from torchbrdf.measured.fred import Fred
 from torchbrdf.measured.gloss import contrast_gloss, distinctness_of_image
+from torchbrdf.measured.klems import Klems
+from torchbrdf.measured.lighttools import LightTools
 from torchbrdf.measured.load import load, load_all
+from torchbrdf.measured.mbsdf import Mbsdf
 from torchbrdf.measured.measured import Measured, Samples
 from torchbrdf.measured.merl import Merl, write_merl, write_raw
 from torchbrdf.measured.merl_table import merl_values
@@ -19,8 +23,10 @@ from torchbrdf.measured.openmaterial import OpenMaterial
 from torchbrdf.measured.plausibility import Plausibility, check, directional_albedo
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
+from torchbrdf.measured.speos import Speos
 from torchbrdf.measured.ssdd import Ssdd
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.tensor_tree import TensorTree
 from torchbrdf.measured.utia import Utia
 from torchbrdf.measured.zemax import Zemax
 
@@ -35,8 +41,12 @@ __all__ = [
     "BrdfFormat",
     "Columns",
     "Cornell",
+    "Fourier",
     "Fred",
+    "Klems",
+    "LightTools",
     "Lookup",
+    "Mbsdf",
     "Measured",
     "Merl",
     "Merl360",
@@ -46,8 +56,10 @@ __all__ = [
     "Plausibility",
     "Rgl",
     "Samples",
+    "Speos",
     "Ssdd",
     "StandIn",
+    "TensorTree",
     "Utia",
     "Zemax",
     "check",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fuzzing.changes import Change
 
-MODULES = ("measured", "pictures", "people", "runs")
+MODULES = ("measured", "tables", "pictures", "people", "runs")
 
 
 @dataclass(frozen=True)
@@ -53,4 +53,5 @@ NAMES = (
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
     *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
+    *("fourier", "fourier-gz", "klems", "lighttools", "mbsdf", "speos", "speos-binary", "speos-brdf", "tensor-tree"),
 )
