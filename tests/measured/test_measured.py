@@ -159,3 +159,12 @@ def test_describe_needs_a_measurement(tmp_path):
     (tmp_path / "x.txt").write_text("hello")
     with pytest.raises(DataError, match=r"x\.txt: expected a measured BRDF"):
         describe(tmp_path / "x.txt")
+
+
+def test_what_says_nothing_of_a_grain_has_none():
+    """A source says whether its values depend on azimuths; those that do not are isotropic."""
+    angle = torch.full((1, 1), 0.1, dtype=torch.float64)
+    measured = Measured.from_samples(Pairs.from_half_diff(angle, angle, angle), torch.ones(1, 1, 3))
+    assert not measured.is_anisotropic
+    measured.source.is_anisotropic = True
+    assert measured.is_anisotropic and measured.batch([0]).is_anisotropic

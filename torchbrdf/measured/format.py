@@ -57,6 +57,8 @@ class BrdfFormat(ABC):
         on_merl_bins: Whether `pairs` are the centres of MERL's bins.
         is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
             interpolated; by default where `at` is the one here.
+        is_anisotropic: Whether values depend on how the surface is turned about its normal; a property where that
+            depends on the files.
         settings: What a reader can be told that a file does not say, and the values of each, the default first.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it has a better way than between scattered samples.
@@ -70,6 +72,7 @@ class BrdfFormat(ABC):
     stand_in: bool = False
     on_merl_bins: ClassVar[bool] = False
     is_reciprocal: ClassVar[bool] = False
+    is_anisotropic: bool = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     def __init_subclass__(cls, **keywords: Any) -> None:

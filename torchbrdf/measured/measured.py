@@ -159,6 +159,11 @@ class Measured:
         """Whether the pairs are the centres of MERL's bins, which are the denser the nearer theta_h is to 0."""
         return self.source.on_merl_bins
 
+    @property
+    def is_anisotropic(self) -> bool:
+        """Whether values depend on how the surface is turned about its normal: on the azimuths of both directions."""
+        return self.source.is_anisotropic
+
     def __len__(self) -> int:
         return len(self.materials)
 
