@@ -2,7 +2,7 @@
 
 import copy
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import InitVar
 from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
@@ -72,6 +72,8 @@ class Lobe(_Declared):
     """How `torchbrdf.fit` treats the diffuse albedo of a model with this lobe unless told; None: as the loss has it."""
     is_material: ClassVar[bool] = False
     """Whether it is a whole BRDF by itself, such as a renderer's material: a model of its own, with no other lobe."""
+    is_anisotropic: ClassVar[bool] = False
+    """Whether values change as the surface is turned about its normal; such a lobe needs pairs that know directions."""
     scalars_of_terms: ClassVar[tuple[str, ...] | None] = None
     """The parameters that `terms` takes, in that order; None: all of one number."""
     function: ClassVar[Callable[..., Tensor]]
@@ -359,6 +361,26 @@ class Lobe(_Declared):
         if colour is None:
             raise UsageError(f"{cls.__name__}: expected coefficients times terms, found a lobe that declares none")
         return parameters[colour.name][..., None]
+
+    @classmethod
+    def canonical(cls, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Of all parameters that give the same lobe those that fits tell.
+
+        Args:
+            parameters: all of the lobe's by name, `(..., k)`.
+
+        Returns:
+            The same, or others of the same lobe.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf.lobes import WardAnisotropic
+            >>> WardAnisotropic.canonical(dict(WardAnisotropic(roughness_x=0.3, roughness_y=0.1).named_parameters()))[
+            ...     "roughness_x"
+            ... ].item()
+            0.10000000149011612
+        """
+        return dict(parameters)
 
     def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""
