@@ -59,11 +59,21 @@ class AnisotropicLobe(Lobe):
         first, second = (parameters[name] for name in cls.axes)
         exchanged = (first > second) == cls.rises_with_width
         exchanged = exchanged & (first != second)
-        quarter = torch.where(exchanged, parameters["rotation"] + math.pi / 2, parameters["rotation"])
-        rotation = quarter - math.pi * torch.ceil(quarter / math.pi - 0.5)
+        rotation = torch.where(exchanged, parameters["rotation"] + math.pi / 2, parameters["rotation"])
         return {
             **parameters,
             cls.axes[0]: torch.where(exchanged, second, first),
             cls.axes[1]: torch.where(exchanged, first, second),
-            "rotation": rotation,
+            "rotation": _within_half_a_turn(rotation),
         }
+
+    @classmethod
+    def other_starts(cls, parameters: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+        """Eighths of a turn further: with both widths in order, one of the four is no farther off than a sixteenth."""
+        turns = (_within_half_a_turn(parameters["rotation"] + k * math.pi / 4) for k in (1, 2, 3))
+        return [{**parameters, "rotation": turn} for turn in turns]
+
+
+def _within_half_a_turn(rotation: Tensor) -> Tensor:
+    """Above -pi/2 and at most pi/2."""
+    return rotation - math.pi * torch.ceil(rotation / math.pi - 0.5)

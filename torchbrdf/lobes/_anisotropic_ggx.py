@@ -74,7 +74,7 @@ def separable_visibility(pairs: Pairs, a_x: Tensor, a_y: Tensor, rotation: Tenso
     light, viewer = _directions(pairs, a_x, a_y, rotation)
     one, two = light.cosine + light.s, viewer.cosine + viewer.s
     by_x, by_y, by_turn = (-a / one - b / two for a, b in zip(light[2:], viewer[2:], strict=True))
-    return Part((one * two).reciprocal(), by_x, by_y, by_turn)
+    return Part(safe_ratio(1, one * two), by_x, by_y, by_turn)
 
 
 def facets(density: Part, seen: Part) -> Part:

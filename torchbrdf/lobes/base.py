@@ -382,6 +382,23 @@ class Lobe(_Declared):
         """
         return dict(parameters)
 
+    @classmethod
+    def other_starts(cls, parameters: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+        """Where the staged procedure starts as well, of which it goes on with the best.
+
+        Args:
+            parameters: where it starts first, all of the lobe's by name, `(..., k)`.
+
+        Returns:
+            Parameters in their place.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward, WardAnisotropic
+            >>> [len(kind.other_starts(dict(kind().named_parameters()))) for kind in (Ward, WardAnisotropic)]
+            [0, 3]
+        """
+        return []
+
     def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""
         return [self]

@@ -35,7 +35,14 @@ class Samples(BrdfFormat):
 
     format = "samples"
 
-    def __init__(self, pairs: Pairs, values: Tensor, weight: Tensor | None, names: Sequence[str] | None) -> None:
+    def __init__(
+        self,
+        pairs: Pairs,
+        values: Tensor,
+        weight: Tensor | None,
+        names: Sequence[str] | None,
+        anisotropic: bool | None = None,
+    ) -> None:
         if values.dim() != 3 or values.shape[-1] != 3 or values.shape[1] != len(pairs):
             raise ShapeError(f"Measured: expected values (M, {len(pairs)}, 3), found {(*values.shape,)}")
         if names is not None and len(names) != len(values):
@@ -48,11 +55,14 @@ class Samples(BrdfFormat):
         given_names = names if names is not None else [f"material{k}" for k in range(len(values))]
         self.names = [check_name(name, "Measured: names") for name in given_names]
         self.paths = []
+        if anisotropic and not pairs.is_oriented:
+            raise ShapeError("Measured: anisotropic: expected pairs of directions, found cosines or angles alone")
+        self.is_anisotropic = _turned(pairs) if anisotropic is None else anisotropic
 
     def select(self, materials: list[int]) -> "Samples":
         """Some materials, where all share the pairs."""
         names = [self.names[k] for k in materials]
-        return Samples(self.pairs, self.values[materials], self.weight[materials], names)
+        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self.is_anisotropic)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -67,6 +77,16 @@ class Samples(BrdfFormat):
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """The given values `(m, n, 3)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
+
+
+def _turned(pairs: Pairs) -> bool:
+    """Whether the pairs are directions with lights in more than one plane through the normal."""
+    if not pairs.is_oriented or not len(pairs):
+        return False
+    x, y, _ = pairs.wi.double().unbind(-1)
+    azimuth = torch.atan2(y, x)[x.square() + y.square() > 1e-6]
+    # Twice the angle, as both sides of a plane are one.
+    return len(azimuth) > 0 and bool(((2 * (azimuth - azimuth[0])).cos() < 1 - 1e-4).any())
 
 
 # The samples of shared pairs that were asked for last, with device and dtype.
@@ -119,7 +139,12 @@ class Measured:
 
     @classmethod
     def from_samples(
-        cls, pairs: Pairs, values: Tensor, weight: Tensor | None = None, names: Sequence[str] | None = None
+        cls,
+        pairs: Pairs,
+        values: Tensor,
+        weight: Tensor | None = None,
+        names: Sequence[str] | None = None,
+        anisotropic: bool | None = None,
     ) -> "Measured":
         """Measured BRDFs from tensors.
 
@@ -129,9 +154,12 @@ class Measured:
                 weight 0.
             weight: How much each sample counts, which broadcasts to `(M, N, 1)`; by default 1.
             names: Of the M materials.
+            anisotropic: Whether values depend on how the surface is turned, so that lobes with a grain can be fitted;
+                by default where the pairs are directions with the light in more than one plane through the normal.
 
         Raises:
-            ShapeError: The shapes do not fit together.
+            ShapeError: The shapes do not fit together, or pairs without directions are said to be of anisotropic
+                materials.
             DataError: A name is none.
 
         Example:
@@ -142,7 +170,7 @@ class Measured:
         """
         if not isinstance(values, Tensor):
             raise ShapeError(f"Measured: values: expected a tensor (M, N, 3), found {shown(values)}")
-        return cls(Samples(pairs, values, weight, names), dtype=values.dtype, device=values.device)
+        return cls(Samples(pairs, values, weight, names, anisotropic), dtype=values.dtype, device=values.device)
 
     @property
     def names(self) -> list[str]:

@@ -10,8 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import one_line
+from torchbrdf.errors import DataError, one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
+from torchbrdf.lobes.model import component_kinds
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.merl import bin_centers
@@ -51,6 +52,7 @@ class StandIn(BrdfFormat):
         self.names = [
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
+        self.is_anisotropic = any(map(_has_grain, records))
         self.pairs = bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
@@ -79,7 +81,11 @@ class StandIn(BrdfFormat):
         return cls(records, origin)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """Values of models on some bins, float64, and weights 1."""
+        """Values of models on some bins, float64, and weights 1; none of lobes with a grain, which bins do not know."""
+        for material in materials:
+            if _has_grain(self.records[material]):
+                model = self.records[material].model
+                raise DataError(f"{self.names[material]}: expected an isotropic model for MERL's bins, found {model}")
         values = self.at(self.pairs.select(samples=samples), materials, "linear").values
         return values, torch.ones_like(values[..., :1])
 
@@ -127,6 +133,10 @@ def standins() -> Path:
         'standins.json'
     """
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
+
+
+def _has_grain(record: FitRecord) -> bool:
+    return any(kind.is_anisotropic for kind in component_kinds(record.model, record.lobes))
 
 
 def _full_name(record: FitRecord) -> str:
