@@ -44,7 +44,8 @@ class Pairs:
     `from_directions`, `from_half_diff` and `from_cosines` make one; the constructor takes `QUANTITIES` as they are.
 
     Args:
-        known: quantities by name, of shapes and dtypes that fit together; they are not checked.
+        known: quantities by name, of shapes and dtypes that fit together; they are not checked. Directions that lie to
+            the tangent as they say come first: behind the half vector's angles they only follow from these.
 
     Raises:
         UsageError: a name is not one of `QUANTITIES`.

@@ -16,6 +16,7 @@ QUANTITIES = (
     *("phi_h", "slope_x", "slope_y", "above_horizon"),
 )
 """What a `Pairs` can hold and be asked for."""
+_OF_HALF = ("cos_h", "tan2_h", "theta_h")
 
 
 def of_directions(wi: Tensor, wo: Tensor) -> dict[str, Tensor]:
@@ -55,11 +56,11 @@ def of_half_diff(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor, phi_h: Tensor 
 def is_oriented(known: Mapping[str, Tensor]) -> bool:
     """Whether it is known how pairs lie to the tangent, by what was given: that comes before what was derived of it.
 
-    Directions that were derived of half and difference angles lie anyhow.
+    Directions that were derived of half and difference angles, or that stand behind these, lie anyhow.
     """
     if "phi_h" in known or ("slope_x" in known and "slope_y" in known):
         return True
-    return next((name for name in known if name in ("wi", "theta_h")), "") == "wi" and "wo" in known
+    return next((name for name in known if name in ("wi", *_OF_HALF)), "") == "wi" and "wo" in known
 
 
 def derived(name: str, known: Mapping[str, Tensor], get: Callable[[str], Tensor]) -> Tensor:

@@ -1,0 +1,162 @@
+"""Pictures of materials with a grain: in the frames of the mesh's tangents."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from torchbrdf import load
+from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.lobes import GGX, FitRecord, GGXAnisotropic, Lambert, Sum, WardAnisotropic, write_fits
+from torchbrdf.pairs import Pairs
+from torchbrdf.render import Environment, Mesh, Scene, blob, render, sphere
+from torchbrdf.render.draw import render_by_transport
+from torchbrdf.render.light.punctual import DirectionalLight
+from torchbrdf.render.raster.mesh import level_tangents
+
+BRUSHED = GGXAnisotropic(specular=[0.9, 0.6, 0.3], roughness_x=0.08, roughness_y=0.3, rotation=0.3, f0=0.8)
+
+
+def turned(mesh: Mesh, angle: float) -> Mesh:
+    """With tangents that lie counterclockwise of the level ones."""
+    level = level_tangents(mesh.normals)
+    across = np.cross(mesh.normals, level)
+    return replace(mesh, tangents=2.5 * (math.cos(angle) * level + math.sin(angle) * across))
+
+
+@cache
+def scene_of(angle: float | None = None) -> Scene:
+    mesh = sphere(5) if angle is None else turned(sphere(5), angle)
+    lights = [DirectionalLight((0.5, 1.0, 0.4), (3.0, 2.0, 1.0))]
+    return Scene(mesh, None, Environment.default(), size=24, nodes=64, light_samples=128, punctual_lights=lights)
+
+
+def alike(one: Tensor, other: Tensor, within: float = 1e-3) -> None:
+    assert (one - other).abs().max() < within * other.abs().max()
+
+
+def test_level_tangents_lie_in_the_surface() -> None:
+    normals = np.vstack([sphere(3).normals, [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]])
+    found = level_tangents(normals)
+    np.testing.assert_allclose((found * normals).sum(1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-12)
+    assert not found[:, 1].any()
+    # To the right of somebody in front of it.
+    np.testing.assert_allclose(level_tangents(np.array([[0.0, 0.0, 1.0]])), [[1.0, 0.0, 0.0]])
+
+
+def test_equal_widths_are_drawn_as_the_isotropic_lobe() -> None:
+    colour = [0.9, 0.6, 0.3]
+    grain = GGXAnisotropic(specular=colour, roughness_x=0.2, roughness_y=0.2, rotation=0.7, f0=0.8)
+    alike(render(grain, scene_of()), render(GGX(specular=colour, roughness=0.2, f0=0.8), scene_of()))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, -1.2])
+def test_turning_the_tangents_is_turning_the_grain(angle: float) -> None:
+    """As is one vector for another; and a whole turn of the grain is none."""
+    expected = render(BRUSHED, scene_of())
+    other = GGXAnisotropic(specular=[0.9, 0.6, 0.3], roughness_x=0.08, roughness_y=0.3, f0=0.8, rotation=0.3 - angle)
+    alike(render(other, scene_of(angle)), expected, 5e-3)
+    if angle:
+        assert (render(BRUSHED, scene_of(angle)) - expected).abs().max() > 0.05 * expected.max()
+
+
+def test_the_highlight_is_drawn_out_across_the_grain() -> None:
+    """A light at the camera, on a level grain: a streak up and down the sphere."""
+    scene = Scene(sphere(5), size=33, punctual_lights=[DirectionalLight((0.0, 0.35, 1.0))])
+    lobe = WardAnisotropic(specular=1.0, roughness_x=0.05, roughness_y=0.4)
+    picture = render(lobe, scene)[0, :, :, 0]
+    bright = (picture > 0.3 * picture.max()).nonzero().double().std(0)
+    assert bright[0] > 3 * bright[1]
+    turned_by_a_quarter = WardAnisotropic(specular=1.0, roughness_x=0.4, roughness_y=0.05)
+    picture = render(turned_by_a_quarter, scene)[0, :, :, 0]
+    bright = (picture > 0.3 * picture.max()).nonzero().double().std(0)
+    assert bright[1] > 3 * bright[0]
+
+
+def test_many_pictures_and_mixed_ones() -> None:
+    """Where isotropic ones would be drawn by a transport, and when one is there."""
+    brdfs = [BRUSHED, Lambert(albedo=0.5), BRUSHED, GGX(roughness=0.3), BRUSHED.batched(2)]
+    alone = torch.cat([render(one, scene_of()) for one in (BRUSHED, Lambert(albedo=0.5))])
+    assert scene_of().compact.pairs is not None
+    found = render(brdfs, scene_of())
+    assert found.shape[0] == 6
+    for k, expected in ((0, 0), (1, 1), (2, 0), (4, 0), (5, 0)):
+        alike(found[k], alone[expected], 1e-2)
+
+
+def test_what_a_transport_cannot_draw_is_refused() -> None:
+    scene = scene_of()
+    assert not scene.pairs.is_oriented
+    with pytest.raises(ShapeError, match=r"^Pairs: slope_x is needed, but only"):
+        BRUSHED(scene.pairs)
+    with pytest.raises(
+        UsageError, match=r"^transport: expected isotropic BRDFs, found one with a grain; `render` draws"
+    ):
+        render_by_transport([Lambert(), BRUSHED], scene)
+
+
+def test_functions_get_directions_in_the_tangents_frame() -> None:
+    def shader(pairs: Pairs) -> Tensor:
+        assert pairs.is_oriented
+        with torch.no_grad():
+            return BRUSHED(pairs)
+
+    alike(render(shader, scene_of(0.5)), render(BRUSHED, scene_of(0.5)), 1e-6)
+
+
+def test_isotropic_ones_are_drawn_without_tangents(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As quickly as ever."""
+    scene = Scene(sphere(3), size=12, nodes=8, light_samples=16)
+    monkeypatch.setattr("torchbrdf.render.scene.turned", None)
+    monkeypatch.setattr("torchbrdf.render.raster.pixels.level_tangents", None)
+    assert render(GGX(), scene).shape == (1, 12, 12, 3)
+    with pytest.raises(TypeError):
+        render(BRUSHED, scene)
+
+
+def test_fits_of_a_grain_are_drawn(tmp_path: Path) -> None:
+    """A `fits.json` in a material's place: anywhere but on MERL's bins."""
+    values = {"diffuse": [0.1] * 3, "specular": [[0.9, 0.6, 0.3]], "f0": [0.8]}
+    values |= {"roughness_x": [0.08], "roughness_y": [0.3], "rotation": [0.3]}
+    record = FitRecord("brushed", "ggx_anisotropic", 1, values)
+    write_fits(tmp_path / "fits.json", [record])
+    stand_in = load(tmp_path / "fits.json")
+    assert stand_in.is_anisotropic
+    model = Sum(Lambert(albedo=0.1), BRUSHED)
+    alike(render(stand_in, scene_of()), render(model, scene_of()), 1e-5)
+    with pytest.raises(
+        Exception, match=r"^brushed: expected an isotropic model for MERL's bins, found ggx_anisotropic$"
+    ):
+        stand_in.values  # noqa: B018
+
+
+def test_tangents_that_are_none() -> None:
+    """0 and along the normal: level ones in their place."""
+    ball = sphere(5)
+    useless = replace(ball, tangents=np.where(np.arange(len(ball.vertices))[:, None] >= 0, 3 * ball.normals, 0))
+    scene = Scene(useless, size=24, nodes=16, light_samples=32)
+    expected = Scene(ball, size=24, nodes=16, light_samples=32)
+    alike(render(BRUSHED, scene), render(BRUSHED, expected), 1e-5)
+    nothing = Scene(replace(ball, tangents=np.zeros_like(ball.vertices)), size=24, nodes=16, light_samples=32)
+    alike(render(BRUSHED, nothing), render(BRUSHED, expected), 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("tangents", "message"),
+    [
+        (np.zeros((3, 3)), r"^blob: expected tangents \(\d+, 3\), found \(3, 3\)$"),
+        (
+            np.full_like(blob().vertices, np.nan),
+            r"^blob: expected finite vertices, normals and tangents, found others$",
+        ),
+    ],
+)
+def test_bad_tangents(tangents: np.ndarray, message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        replace(blob(), tangents=tangents)
