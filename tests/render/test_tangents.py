@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf import load
-from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.lobes import GGX, FitRecord, GGXAnisotropic, Lambert, Sum, WardAnisotropic, write_fits
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Environment, Mesh, Scene, blob, render, sphere

@@ -5,12 +5,13 @@ from typing import ClassVar
 from torch import Tensor
 
 from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain
-from torchbrdf.lobes._anisotropic_ggx import distribution, separable_visibility
+from torchbrdf.lobes._anisotropic_ggx import Part, distribution, facets, separable_visibility
 from torchbrdf.lobes._microfacet import apply_albedo
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import conductor
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.separable import tangents
 from torchbrdf.pairs import Pairs
 
 
@@ -51,9 +52,12 @@ def roughconductor_anisotropic(
         tensor([[0.0110, 0.0221, 0.0331],
                 [0.1353, 0.2706, 0.4059]])
     """
-    facets = distribution(pairs, roughness_x, roughness_y, rotation).value
-    facets = facets * separable_visibility(pairs, roughness_x, roughness_y, rotation).value
-    return apply_albedo(pairs, facets * conductor(eta, k, pairs.cos_d), specular)
+    own = _facets(pairs, roughness_x, roughness_y, rotation)
+    return apply_albedo(pairs, own.value * conductor(eta, k, pairs.cos_d), specular)
+
+
+def _facets(pairs: Pairs, a_x: Tensor, a_y: Tensor, rotation: Tensor) -> Part:
+    return facets(distribution(pairs, a_x, a_y, rotation), separable_visibility(pairs, a_x, a_y, rotation))
 
 
 @LOBES.register("roughconductor_anisotropic")
@@ -87,3 +91,13 @@ class RoughConductorAnisotropic(AnisotropicLobe):
         start=2.0, lower=0.02, upper=20.0, log=True, doc="index of refraction, imaginary part"
     )
     function = staticmethod(roughconductor_anisotropic)
+
+    @classmethod
+    def value_and_jacobian(cls, pairs: Pairs, *scalars: Tensor) -> list[Tensor]:
+        """Shape times the derivatives of the logarithms of D and G; those of F by forward differentiation."""
+        a_x, a_y, rotation, *index = scalars
+        own = _facets(pairs, a_x, a_y, rotation)
+        (reflected,), slopes = tangents(lambda eta, k: [conductor(eta, k, pairs.cos_d)], index)
+        of_metal = [slope for (slope,) in slopes if slope is not None]
+        shape = own.value * reflected
+        return [shape, *(shape * slope for slope in own[1:]), *(own.value * slope for slope in of_metal)]

@@ -90,7 +90,8 @@ def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pix
     tangent = None
     if fine.tangent is not None:
         tangent = blocks(torch.from_numpy(fine.tangent))[pixel, chosen][order].to(torch.float32)
-    return Pixels(coverage, pixel[order], *(part.to(torch.float32) for part in parts), tangent)
+    position, frame, outgoing = (part.to(torch.float32) for part in parts)
+    return Pixels(coverage, pixel[order], position, frame, outgoing, tangent)
 
 
 def _facing(mesh: Mesh, normal: Tensor, face: Tensor, outgoing: Tensor) -> Tensor:
