@@ -160,3 +160,78 @@ def test_tangents_that_are_none() -> None:
 def test_bad_tangents(tangents: np.ndarray, message: str) -> None:
     with pytest.raises(ShapeError, match=message):
         replace(blob(), tangents=tangents)
+
+
+def lathe(columns: int = 96, rows: int = 48, swapped: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A sphere of quads: vertices, texture coordinates with u around the axis (or, swapped, along it), and faces."""
+    theta, phi = (
+        np.linspace(end, stop, n + 1) for end, stop, n in ((0.03, np.pi - 0.03, rows), (0, 2 * np.pi, columns))
+    )
+    theta, phi = np.meshgrid(theta, phi, indexing="ij")
+    x, y, z = np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)
+    places = np.stack([x, y, z], -1).reshape(-1, 3)
+    u, v = phi / (2 * np.pi), 1 - theta / np.pi
+    coordinates = np.stack([v, u] if swapped else [u, v], -1).reshape(-1, 2)
+    first = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    quads = np.stack([first, first + columns + 1, first + columns + 2, first + 1], 1)
+    return places, coordinates, quads
+
+
+def as_obj(path: Path, swapped: bool = False) -> Path:
+    places, coordinates, quads = lathe(swapped=swapped)
+    lines = [f"v {x} {y} {z}" for x, y, z in places] + [f"vt {u} {v}" for u, v in coordinates]
+    lines += ["f " + " ".join(f"{k + 1}/{k + 1}" for k in quad) for quad in quads]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def as_ply(path: Path, names: str = "s t") -> Path:
+    places, coordinates, quads = lathe()
+    header = ["ply", "format ascii 1.0", f"element vertex {len(places)}"]
+    header += [f"property float {name}" for name in ["x", "y", "z", *names.split()]]
+    header += [f"element face {len(quads)}", "property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(map(str, row)) for row in np.hstack([places, coordinates])]
+    path.write_text("\n".join([*header, *rows, *("4 " + " ".join(map(str, quad)) for quad in quads)]))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["obj", "s t", "u v", "texture_u texture_v"])
+def test_tangents_lie_where_u_grows(kind: str, tmp_path: Path) -> None:
+    mesh = Mesh.load(as_obj(tmp_path / "a.obj") if kind == "obj" else as_ply(tmp_path / "a.ply", kind))
+    assert mesh.tangents is not None
+    np.testing.assert_allclose((mesh.tangents * mesh.normals).sum(1), 0, atol=1e-9)
+    inner = np.abs(mesh.vertices[:, 1]) < 0.95
+    along = (mesh.tangents * level_tangents(mesh.normals)).sum(1)
+    assert (along[inner] > 0.99).all()
+    scene = Scene(mesh, size=24, nodes=16, light_samples=32)
+    level = Scene(replace(mesh, tangents=None), size=24, nodes=16, light_samples=32)
+    found, expected = (render(BRUSHED, one)[0] for one in (scene, level))
+    assert (found - expected).abs().mean() < 0.02 * expected.mean()
+
+
+def test_u_along_the_axis_is_a_quarter_of_a_turn(tmp_path: Path) -> None:
+    mesh = Mesh.load(as_obj(tmp_path / "a.obj", swapped=True))
+    assert mesh.tangents is not None
+    assert (np.abs((mesh.tangents * level_tangents(mesh.normals)).sum(1)) < 0.1).all()
+    quarter = GGXAnisotropic(
+        specular=[0.9, 0.6, 0.3], roughness_x=0.08, roughness_y=0.3, rotation=0.3 - math.pi / 2, f0=0.8
+    )
+    one = Scene(mesh, size=24, nodes=16, light_samples=32)
+    other = Scene(replace(mesh, tangents=None), size=24, nodes=16, light_samples=32)
+    found, expected = render(quarter, one)[0], render(BRUSHED, other)[0]
+    assert (found - expected).abs().mean() < 0.02 * expected.mean()
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["vt x y\n", "vt nan inf\n", "vt 0.5 0.5\n", "vt\n"],
+    ids=["no numbers", "not finite", "one for all", "none"],
+)
+def test_texture_coordinates_that_say_nothing(text: str, tmp_path: Path) -> None:
+    """The mesh is drawn as without them."""
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+    path = tmp_path / "a.obj"
+    path.write_text(f"{corners}{text}f 1/1 2/1 3/1\nf 2/1 4/1 3/7\nf 2/1 4/-9 3/x\n")
+    mesh = Mesh.load(path)
+    assert mesh.tangents is None and len(mesh.faces) == 3
+    assert not np.isnan(mesh.normals).any()

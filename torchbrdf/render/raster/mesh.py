@@ -70,6 +70,7 @@ class Mesh:
         triangle refers to, faces without area and parts without faces are dropped; normals that are not of length 1
         are normalised; a closed mesh that is inside out is turned (of an open one that cannot be known, but both
         sides are drawn); and a vertex whose faces cancel takes the normal of one of them. Polygons become triangles.
+        Texture coordinates of OBJ and PLY files give the tangents: they lie where u grows.
         Materials, textures, colours and smoothing groups are not read, nor bones. A glTF file whose triangles depend on
         more than its buffers and nodes (extensions, sparse accessors, weighted morph targets) is refused.
 
@@ -79,10 +80,11 @@ class Mesh:
                 origin; or a buffer of a glTF file is not in its folder.
         """
         path = Path(path)
-        return cls(*join(path, read_parts(path, partial(_warn, path)), partial(_warn, path)), name=str(path))
+        found = join(path, read_parts(path, partial(_warn, path)), partial(_warn, path))
+        return cls(found.vertices, found.faces, found.normals, str(path), found.tangents)
 
     def save(self, path: str | Path) -> None:
-        """Write the mesh as a binary PLY with normals, single precision."""
+        """Write the mesh as a binary PLY with normals, single precision, without tangents."""
         names = ("x", "y", "z", "nx", "ny", "nz")
         properties = "".join(f"property float {name}\n" for name in names)
         header = (
