@@ -56,7 +56,9 @@ def bound_on(name: str, loss: str, device: torch.device) -> tuple[BoundObjective
 
 @every_lobe
 def test_lobes_stay_where_they_are(name: str) -> None:
-    found = model_of(name).to(META)(some_pairs().to(META))
+    pairs = some_pairs()
+    turned = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, 3 * pairs.phi_d)
+    found = model_of(name).to(META)(turned.to(META))
     assert found.device == META and found.dtype == torch.float32
 
 

@@ -321,3 +321,95 @@ def test_joined_pairs_are_one_after_the_other() -> None:
     assert Pairs.joined([shared.select(0), shared]).shape == (1, 8)
     with pytest.raises(ShapeError, match="is needed, but only cos_i were given"):
         Pairs.joined([shared, Pairs.from_cosines(torch.ones(1, 2, dtype=torch.float64))])
+
+
+ABOUT_THE_NORMAL = ("slope_x", "slope_y", "phi_h")
+
+
+@given(quarter, quarter, half_turn, turn)
+def test_the_half_vectors_azimuth(theta_h: float, theta_d: float, phi_d: float, phi_h: float) -> None:
+    """From angles with phi_h and from the directions: the same slopes and azimuth, and the same directions."""
+    assume(theta_d < math.pi / 2 - 1e-3 and theta_h < math.pi / 2 - 1e-3)
+    vectors = directions(theta_h, theta_d, phi_d, phi_h)
+    angles = Pairs.from_half_diff(*(torch.tensor([x], dtype=torch.float64) for x in (theta_h, theta_d, phi_d, phi_h)))
+    assert angles.is_oriented and vectors.is_oriented
+    for name in ("slope_x", "slope_y", "wi", "wo"):
+        scale = 1 + math.tan(theta_h) ** 2 / math.cos(theta_d)
+        torch.testing.assert_close(getattr(angles, name), getattr(vectors, name), rtol=1e-12, atol=1e-14 * scale)
+    assume(theta_h > 1e-3)
+    turned = (vectors.phi_h - angles.phi_h).item()
+    assert (math.cos(turned), math.sin(turned)) == pytest.approx((1, 0), abs=1e-10)
+
+
+def test_slopes_keep_their_digits_in_float32() -> None:
+    generator = np.random.default_rng(3)
+    for exponent in (-6, -3, -1):
+        theta_h = 10.0**exponent * generator.uniform(1, 9, 200)
+        theta_d, phi_d, phi_h = generator.uniform(0, 1.3, 200), *generator.uniform(0, math.pi, (2, 200))
+        wi, wo = (torch.from_numpy(vector).float() for vector in from_half_diff(theta_h, theta_d, phi_d, phi_h))
+        half = wi.double() + wo.double()
+        pairs = Pairs.from_directions(wi, wo)
+        # A component is as good as the directions are, which have 24 bits each.
+        for name, k in (("slope_x", 0), ("slope_y", 1)):
+            assert getattr(pairs, name).dtype == torch.float32
+            torch.testing.assert_close(getattr(pairs, name).double(), half[:, k] / half[:, 2], rtol=1e-6, atol=0)
+        angles = (torch.from_numpy(one).float() for one in (theta_h, theta_d, phi_d, phi_h))
+        given = Pairs.from_half_diff(*angles)
+        expected = np.tan(theta_h) * np.cos(phi_h)
+        error = np.abs(given.slope_x.double().numpy() - expected) / np.tan(theta_h)
+        assert error.max() < 1e-6
+
+
+def test_pairs_without_an_azimuth_are_not_oriented() -> None:
+    """Not of cosines, not of half and difference angles alone, and not after directions were derived of these."""
+    full = random_pairs(1, 5)
+    angles = Pairs.from_half_diff(full.theta_h, full.theta_d, full.phi_d)
+    assert angles.wi.shape == (1, 5, 3) and angles.wo.shape == (1, 5, 3)
+    cosines = Pairs.from_cosines(full.cos_i, full.cos_o, full.cos_h, full.cos_d, full.tan2_h)
+    for pairs in (angles, angles.to(dtype=torch.float32), angles.select(samples=[1]), cosines, Pairs.joined([full])):
+        assert not pairs.is_oriented
+        for name in ABOUT_THE_NORMAL:
+            with pytest.raises(ShapeError, match=rf"^Pairs: {name} is needed, but only "):
+                getattr(pairs, name)
+
+
+def test_azimuths_follow_what_is_made_of_pairs() -> None:
+    full = random_pairs(2, 7)
+    everything(full)  # what was derived changes nothing
+    angles = Pairs.from_half_diff(full.theta_h, full.theta_d, full.phi_d, full.phi_h)
+    for pairs in (full, angles):
+        ways = [
+            (pairs.select([1], [4, 2]), lambda value: value[[1]][:, [4, 2]]),
+            (pairs.unsqueeze(), lambda value: value[None]),
+            (pickle.loads(pickle.dumps(pairs)), lambda value: value),
+            (Pairs(**dict(pairs.items())), lambda value: value),
+            (Pairs.joined([pairs, pairs], oriented=True), lambda value: torch.cat([value, value], 1)),
+        ]
+        for made, changed in ways:
+            assert made.is_oriented
+            for name in (*ABOUT_THE_NORMAL, "wi", "wo"):
+                torch.testing.assert_close(getattr(made, name), changed(getattr(pairs, name)), rtol=1e-12, atol=1e-14)
+        half = pairs.to(dtype=torch.float16)
+        wide = half.widened()
+        assert wide.is_oriented and wide.dtype == torch.float32
+        torch.testing.assert_close(wide.slope_x.double(), pairs.slope_x, rtol=2e-2, atol=2e-2)
+    with pytest.raises(ShapeError, match="is needed"):
+        Pairs.joined([full, Pairs.from_half_diff(full.theta_h, full.theta_d, full.phi_d)], oriented=True)
+
+
+def test_slopes_are_differentiable() -> None:
+    wi, wo = hemisphere(6, seed=3).requires_grad_(), hemisphere(6, seed=4).requires_grad_()
+
+    def quantities(wi: Tensor, wo: Tensor) -> tuple[Tensor, ...]:
+        pairs = Pairs.from_directions(wi, wo)
+        return pairs.slope_x, pairs.slope_y, pairs.phi_h
+
+    assert torch.autograd.gradcheck(quantities, (wi, wo))
+    # On the axes, at the normal and at the horizon they are numbers.
+    special = torch.tensor([[0.6, 0, 0.8], [0, 0, 1], [1, 0, 0], [0.6, 0, -0.8]], dtype=torch.float64).requires_grad_()
+    other = special.detach() * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)
+    pairs = Pairs.from_directions(special, other)
+    total = pairs.slope_x + pairs.slope_y + pairs.phi_h
+    assert total.isfinite().all()
+    (gradient,) = torch.autograd.grad(total.sum(), special)
+    assert gradient.isfinite().all()

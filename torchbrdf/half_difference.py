@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchbrdf.roots import safe_sqrt
+from torchbrdf.roots import safe_ratio, safe_sqrt
 
 
 def half_vector(wi: Tensor, wo: Tensor) -> Tensor:
@@ -44,6 +44,27 @@ def phi_d(wi: Tensor, wo: Tensor) -> Tensor:
     phi = torch.atan2(torch.where(none, 0, across), torch.where(none, 1, along))
     phi = torch.where(phi < 0, phi + math.pi, phi)
     return torch.where(phi >= math.pi, torch.zeros_like(phi), phi)
+
+
+def slopes(wi: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+    """x and y of the half vector over its z."""
+    x, y, z = half_vector(wi, wo).unbind(-1)
+    below = z < 0
+    return safe_ratio(torch.where(below, -x, x), z.abs()), safe_ratio(torch.where(below, -y, y), z.abs())
+
+
+def phi_h(wi: Tensor, wo: Tensor) -> Tensor:
+    """Azimuth of the half vector about the normal; 0, with gradient 0, where it has none."""
+    x, y, _ = half_vector(wi, wo).unbind(-1)
+    none = x.square() + y.square() < torch.finfo(x.dtype).tiny
+    return torch.atan2(torch.where(none, 0, y), torch.where(none, 1, x))
+
+
+def turned(vector: Tensor, angle: Tensor) -> Tensor:
+    """Vectors `(..., 3)` turned about the normal by angles `(...)`."""
+    x, y, z = vector.unbind(-1)
+    cos, sin = angle.cos(), angle.sin()
+    return torch.stack([x * cos - y * sin, x * sin + y * cos, z], -1)
 
 
 def directions(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> tuple[Tensor, Tensor]:

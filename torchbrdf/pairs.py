@@ -1,6 +1,7 @@
 """Pairs of incident and outgoing directions, with the cosines that BRDFs need, computed once."""
 
 from collections.abc import Callable, ItemsView, Sequence
+from functools import reduce
 from types import ModuleType
 
 import numpy as np
@@ -9,7 +10,15 @@ from torch import Tensor
 
 from torchbrdf.errors import ShapeError, UsageError
 from torchbrdf.precision import HALVES
-from torchbrdf.quantities import QUANTITIES, check_max_theta, derived, of_directions, of_half_diff
+from torchbrdf.quantities import (
+    ORIENTED,
+    QUANTITIES,
+    check_max_theta,
+    derived,
+    is_oriented,
+    of_directions,
+    of_half_diff,
+)
 
 __all__ = ["QUANTITIES", "Pairs", "check_max_theta", "take"]
 
@@ -23,18 +32,20 @@ class Pairs:
     Both directions point away from the surface; the normal is +z and the tangent +x. Every quantity has the shape
     `(..., N)` (`wi` and `wo`: `(..., N, 3)`), usually `(M, N)`, or `(1, N)` where all materials share the pairs.
     Angles are in radians: Rusinkiewicz' half and difference angles, theta_h and theta_d in [0, pi/2], phi_d in
-    [0, pi). Quantities that were not given are derived at first use and kept. dtype and device are the inputs'; what is
-    derived of half precision is computed in float32.
+    [0, pi), phi_h in (-pi, pi]. Quantities that were not given are derived at first use and kept. dtype and device are
+    the inputs'; what is derived of half precision is computed in float32.
 
     Gradients by directions, angles and cosines are finite wherever the quantities are: 0 where there is none, or an
     infinite one, as at the tip of the cone theta_h over directions, h = n, or for opposite directions.
 
-    tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1.
+    tan2_h, the squared tangent of theta_h, is kept because sharp lobes live where a float32 cos_h is 1, and slope_x and
+    slope_y, the half vector's x and y over its z, for those that are anisotropic.
 
     `from_directions`, `from_half_diff` and `from_cosines` make one; the constructor takes `QUANTITIES` as they are.
 
     Args:
-        known: quantities by name, of shapes and dtypes that fit together; they are not checked.
+        known: quantities by name, of shapes and dtypes that fit together; they are not checked. Directions that lie to
+            the tangent as they say come first: behind the half vector's angles they only follow from these.
 
     Raises:
         UsageError: a name is not one of `QUANTITIES`.
@@ -88,16 +99,19 @@ class Pairs:
         return cls(**of_directions(wi.to(dtype), wo.to(dtype)))
 
     @classmethod
-    def from_half_diff(cls, theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> "Pairs":
+    def from_half_diff(cls, theta_h: Tensor, theta_d: Tensor, phi_d: Tensor, phi_h: Tensor | None = None) -> "Pairs":
         """Make pairs from Rusinkiewicz' half and difference angles.
 
         Args:
             theta_h: angle between the normal and the half vector, radians, `(..., N)`.
             theta_d: angle between the half vector and either direction, radians, `(..., N)`.
-            phi_d: azimuth of the light about the half vector, radians, `(..., N)`; the three broadcast.
+            phi_d: azimuth of the light about the half vector, radians, `(..., N)`.
+            phi_h: azimuth of the half vector about the normal, radians, `(..., N)`, which anisotropic lobes need; all
+                that is given broadcasts.
 
         Returns:
-            Pairs `(..., N)`, whose half vectors lie in the plane of x and z.
+            Pairs `(..., N)`. Without phi_h their half vectors lie in the plane of x and z, and what depends on that is
+            a ShapeError when it is asked for.
 
         Example:
             >>> import math, torch
@@ -107,11 +121,12 @@ class Pairs:
             >>> reading.cos_i, reading.cos_o
             (tensor([0.7071]), tensor([1.]))
         """
-        theta_h, theta_d, phi_d = torch.broadcast_tensors(theta_h, theta_d, phi_d)
-        dtype = torch.promote_types(torch.promote_types(theta_h.dtype, theta_d.dtype), phi_d.dtype)
+        given = [theta_h, theta_d, phi_d] if phi_h is None else [theta_h, theta_d, phi_d, phi_h]
+        given = list(torch.broadcast_tensors(*given))
+        dtype = reduce(torch.promote_types, (angle.dtype for angle in given))
         if dtype in HALVES:
-            return cls.from_half_diff(theta_h.float(), theta_d.float(), phi_d.float()).to(dtype=dtype)
-        return cls(**of_half_diff(theta_h.to(dtype), theta_d.to(dtype), phi_d.to(dtype)))
+            return cls.from_half_diff(*(angle.float() for angle in given)).to(dtype=dtype)
+        return cls(**of_half_diff(*(angle.to(dtype) for angle in given)))
 
     @classmethod
     def from_cosines(
@@ -235,6 +250,26 @@ class Pairs:
         return self._get("phi_d")
 
     @property
+    def phi_h(self) -> Tensor:
+        """Azimuth of the half vector about the normal, from the tangent on."""
+        return self._get("phi_h")
+
+    @property
+    def slope_x(self) -> Tensor:
+        """The half vector's x over its z, tan(theta_h) cos(phi_h)."""
+        return self._get("slope_x")
+
+    @property
+    def slope_y(self) -> Tensor:
+        """The half vector's y over its z, tan(theta_h) sin(phi_h)."""
+        return self._get("slope_y")
+
+    @property
+    def is_oriented(self) -> bool:
+        """Whether it is known how the pairs lie to the tangent, which anisotropic lobes need."""
+        return is_oriented(self._known)
+
+    @property
     def wi(self) -> Tensor:
         """Unit vectors to the light, `(..., N, 3)`."""
         return self._get("wi")
@@ -340,11 +375,12 @@ class Pairs:
         return self._map(pick)
 
     @classmethod
-    def joined(cls, parts: Sequence["Pairs"]) -> "Pairs":
+    def joined(cls, parts: Sequence["Pairs"], oriented: bool = False) -> "Pairs":
         """One after the other, by what isotropic BRDFs depend on: cosines and angles, without the directions.
 
         Args:
             parts: pairs `(n,)` or `(m, n)`, with m the same for all, or 1.
+            oriented: with the directions and what else anisotropic BRDFs depend on.
 
         Returns:
             Pairs `(m, N)`, or `(N,)` where all parts are `(n,)`.
@@ -362,9 +398,11 @@ class Pairs:
         lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
 
         def whole(name: str) -> Tensor:
-            return torch.cat([part._get(name).expand(*lead, len(part)) for part in parts], -1)
+            vector = (3,) * (name in ("wi", "wo"))
+            found = [part._get(name).expand(*lead, len(part), *vector) for part in parts]
+            return torch.cat(found, len(lead))
 
-        return cls(**{name: whole(name) for name in QUANTITIES if name not in ("wi", "wo")})
+        return cls(**{name: whole(name) for name in QUANTITIES if oriented or name not in ORIENTED})
 
     def widened(self) -> "Pairs":
         """The same pairs in float32, if they are in half precision; themselves, if they are not.
@@ -390,7 +428,7 @@ class Pairs:
         if given == "wi" and "wo" in known:
             return Pairs.from_directions(known["wi"], known["wo"])
         if given == "theta_h" and "theta_d" in known and "phi_d" in known:
-            return Pairs.from_half_diff(known["theta_h"], known["theta_d"], known["phi_d"])
+            return Pairs.from_half_diff(known["theta_h"], known["theta_d"], known["phi_d"], known.get("phi_h"))
         return wide
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Pairs":

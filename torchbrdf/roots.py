@@ -45,14 +45,14 @@ def safe_norm(vectors: Tensor, dim: int = -1) -> Tensor:
 
 
 def safe_ratio(numerator: Tensor | float, denominator: Tensor) -> Tensor:
-    """A quotient of numbers of at least 0, with gradient 0 where it is so large that its own could overflow.
+    """A quotient by numbers of at least 0, with gradient 0 where it is so large that its own could overflow.
 
-    That is where the denominator is below tiny^0.4, 7e-16 in float32, or the quotient above its reciprocal. A
+    That is where the denominator is below tiny^0.4, 7e-16 in float32, or the quotient beyond its reciprocal. A
     denominator of 0 counts as the smallest normal number, so that the quotient stays finite or honestly huge.
 
     Args:
-        numerator: at least 0, any shape.
-        denominator: the same.
+        numerator: any shape.
+        denominator: at least 0, any shape.
 
     Returns:
         Their shape.
@@ -67,5 +67,5 @@ def safe_ratio(numerator: Tensor | float, denominator: Tensor) -> Tensor:
     if not value.requires_grad:
         return value
     least = tiny**0.4
-    steep = (denominator < least) | (denominator <= numerator * least)
+    steep = (denominator < least) | (denominator <= abs(numerator) * least)
     return torch.where(steep, value.detach(), numerator / torch.where(steep, 1, denominator))

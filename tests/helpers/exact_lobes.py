@@ -176,6 +176,65 @@ def exact_ggx(g: Geometry, specular: mpf, a: mpf, f0: mpf) -> mpf:
     return specular * d * correlated(g, ggx_lambda(a)) * fresnel(g, f0)
 
 
+def in_the_grain(vector: Vector, rotation: mpf) -> Vector:
+    """A vector in the frame whose x axis is the tangent, turned by the rotation."""
+    c, s = mpmath.cos(rotation), mpmath.sin(rotation)
+    return [c * vector[0] + s * vector[1], c * vector[1] - s * vector[0], vector[2]]
+
+
+def along_the_grain(g: Geometry, rotation: mpf, *widths: mpf) -> list[mpf]:
+    """The half vector's slopes along the lobe's axes over its widths there."""
+    h = in_the_grain(g.half, rotation)
+    found = [x / h[2] / width for x, width in zip(h, widths, strict=False)]
+    # A slope along an axis is a difference where the half vector is far from the normal: it has their digits.
+    reach = mpmath.tan(g.delta) / min(widths)
+    assume(reach * max(map(abs, found)) < 400 or sum(x**2 for x in found) > 1e6)
+    return found
+
+
+def exact_ward_anisotropic(g: Geometry, specular: mpf, a_x: mpf, a_y: mpf, rotation: mpf) -> mpf:
+    """Ward's eq. 5a, with the azimuth of the half vector itself."""
+    u, v = along_the_grain(g, rotation, a_x, a_y)
+    assume(u**2 + v**2 < 600)
+    lobe = mpmath.exp(-(u**2) - v**2) / (4 * mpmath.pi * a_x * a_y)
+    return specular * lobe / mpmath.sqrt(g.n_i * g.n_o)
+
+
+def ggx_with_a_grain(g: Geometry, a_x: mpf, a_y: mpf, rotation: mpf) -> tuple[mpf, list[mpf]]:
+    """Burley's D, and Heitz' Lambda with the roughness alpha_o along each direction's own azimuth."""
+    u, v = along_the_grain(g, rotation, a_x, a_y)
+    d = 1 / (mpmath.pi * a_x * a_y * g.n_h**4 * (1 + u**2 + v**2) ** 2)
+    slopes = []
+    for x, y, z in (in_the_grain(one, rotation) for one in (g.wi, g.wo)):
+        azimuth, sine = mpmath.atan2(y, x), mpmath.sqrt(x**2 + y**2)
+        a = mpmath.sqrt((mpmath.cos(azimuth) * a_x) ** 2 + (mpmath.sin(azimuth) * a_y) ** 2)
+        slopes.append(ggx_lambda(a)(sine / z))
+    return d / (4 * g.n_i * g.n_o), slopes
+
+
+def exact_ggx_anisotropic(g: Geometry, specular: mpf, a_x: mpf, a_y: mpf, rotation: mpf, f0: mpf) -> mpf:
+    d, slopes = ggx_with_a_grain(g, a_x, a_y, rotation)
+    return specular * d / (1 + sum(slopes)) * fresnel(g, f0)
+
+
+def exact_roughconductor_anisotropic(
+    g: Geometry, specular: mpf, a_x: mpf, a_y: mpf, rotation: mpf, eta: mpf, k: mpf
+) -> mpf:
+    d, (one, two) = ggx_with_a_grain(g, a_x, a_y, rotation)
+    return specular * d / ((1 + one) * (1 + two)) * exact_conductor(g.o_h, eta, k)
+
+
+def exact_ashikhmin_shirley_anisotropic(g: Geometry, specular: mpf, n_u: mpf, n_v: mpf, rotation: mpf, f0: mpf) -> mpf:
+    """Eq. 4 of Ashikhmin and Shirley."""
+    h = in_the_grain(g.half, rotation)
+    sin2 = h[0] ** 2 + h[1] ** 2
+    exponent = (n_u * h[0] ** 2 + n_v * h[1] ** 2) / sin2 if sin2 else mpf(0)
+    steep = -2 * mpmath.log(g.n_h)
+    assume(exponent * steep < 1200 and max(n_u, n_v) * steep < 5000)
+    lobe = mpmath.sqrt((n_u + 1) * (n_v + 1)) / (8 * mpmath.pi) * mpmath.cos(g.delta) ** exponent
+    return specular * lobe / (g.o_h * max(g.n_i, g.n_o)) * fresnel(g, f0)
+
+
 def exact_beckmann(g: Geometry, specular: mpf, m: mpf, f0: mpf) -> mpf:
     return specular * exact_beckmann_distribution(g, m) * correlated(g, beckmann_lambda(m)) * fresnel(g, f0)
 
@@ -309,18 +368,22 @@ def exact_ggx_f82(g: Geometry, f0: mpf, tint: mpf, a: mpf, weight: mpf) -> mpf:
 
 
 def exact_roughconductor(g: Geometry, specular: mpf, a: mpf, eta: mpf, k: mpf) -> mpf:
-    """With Fresnel's equations for a complex index of refraction."""
+    return specular * exact_ggx_distribution(g, a) * separable(g, a) * exact_conductor(g.o_h, eta, k)
+
+
+def exact_conductor(cosine: mpf, eta: mpf, k: mpf) -> mpf:
+    """Fresnel's equations for a complex index of refraction."""
     index = mpmath.mpc(eta, k)
-    refracted = mpmath.sqrt(1 - (1 - g.o_h**2) / index**2)
-    across = (g.o_h - index * refracted) / (g.o_h + index * refracted)
-    along = (index * g.o_h - refracted) / (index * g.o_h + refracted)
-    reflected = (abs(across) ** 2 + abs(along) ** 2) / 2
-    return specular * exact_ggx_distribution(g, a) * separable(g, a) * reflected
+    refracted = mpmath.sqrt(1 - (1 - cosine**2) / index**2)
+    across = (cosine - index * refracted) / (cosine + index * refracted)
+    along = (index * cosine - refracted) / (index * cosine + refracted)
+    return (abs(across) ** 2 + abs(along) ** 2) / 2
 
 
 unit = st.floats(0, 1)
 shares = st.floats(0.02, 1)
 f0s = st.floats(0.02, 1)
+turns = st.floats(-math.pi, math.pi)
 table = st.lists(st.floats(0.1, 100), min_size=90, max_size=90)
 fresnel_table = st.lists(st.floats(0.1, 100), min_size=16, max_size=16)
 
@@ -343,6 +406,12 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "cook_torrance_ior": (exact_cook_torrance_ior, [unit, decades(0.001, 3), decades(1.02, 100)]),
     "ashikhmin_shirley_ior": (exact_ashikhmin_shirley_ior, [unit, decades(0.001, 1e6), decades(1.02, 100)]),
     "ggx": (exact_ggx, [unit, decades(0.001, 1), f0s]),
+    "ggx_anisotropic": (exact_ggx_anisotropic, [unit, decades(0.001, 1), decades(0.001, 1), turns, f0s]),
+    "ward_anisotropic": (exact_ward_anisotropic, [unit, decades(0.001, 0.5), decades(0.001, 0.5), turns]),
+    "ashikhmin_shirley_anisotropic": (
+        exact_ashikhmin_shirley_anisotropic,
+        [unit, decades(0.001, 50000), decades(0.001, 50000), turns, f0s],
+    ),
     "beckmann": (exact_beckmann, [unit, decades(0.001, 1), f0s]),
     "gtr": (exact_gtr, [unit, decades(0.001, 1), decades(0.5, 10), f0s]),
     "student_t": (exact_student_t, [unit, decades(0.001, 1), decades(1.51, 40), f0s]),
@@ -353,6 +422,10 @@ EXACT: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "eon": (exact_eon, [unit, st.one_of(st.just(0.0), st.floats(0.01, 1))]),
     "ggx_f82": (exact_ggx_f82, [shares, st.floats(0.52, 1), decades(0.001, 1), unit]),
     "roughconductor": (exact_roughconductor, [unit, decades(0.001, 1), decades(0.02, 10), decades(0.02, 20)]),
+    "roughconductor_anisotropic": (
+        exact_roughconductor_anisotropic,
+        [unit, decades(0.001, 1), decades(0.001, 1), turns, decades(0.02, 10), decades(0.02, 20)],
+    ),
     "charlie": (exact_charlie, [unit, decades(0.01, 1)]),
     "shifted_gamma": (
         exact_shifted_gamma,

@@ -11,6 +11,7 @@ from torchbrdf.pairs import Pairs
 
 # Every registered lobe whose value is a colour times a scalar function.
 COLORED = [name for name, lobe in LOBES.items() if lobe.albedo_spec() is not None and not lobe.is_diffuse]
+ISOTROPIC = [name for name in COLORED if not LOBES[name].is_anisotropic]
 # Shapes of a sharp and a broad lobe; of other lobes a place within their bounds.
 SHAPES = {
     "ward": ("roughness", 0.03, 0.3),
@@ -39,7 +40,8 @@ def two_lobes(name, materials=1):
 def some_pairs(count=3000, seed=0):
     generator = torch.Generator().manual_seed(seed)
     uniform = torch.rand(3, 1, count, generator=generator, dtype=torch.float64)
-    pairs = Pairs.from_half_diff(uniform[0] ** 2 * 1.3, uniform[1] * 1.3, uniform[2] * math.pi)
+    phi_h = 2 * math.pi * torch.rand(1, count, generator=generator, dtype=torch.float64)
+    pairs = Pairs.from_half_diff(uniform[0] ** 2 * 1.3, uniform[1] * 1.3, uniform[2] * math.pi, phi_h)
     return pairs.select(samples=pairs.above_horizon[0].nonzero()[:, 0])
 
 

@@ -42,6 +42,8 @@ _WAVE = 1 << 21
 _WIDTH = 2048
 
 Bsdf = dict[str, Any]
+# Index of refraction of a metal.
+METAL = (0.2, 3.0)
 
 
 class Likeness(NamedTuple):
@@ -89,6 +91,17 @@ def conductor(alpha: float) -> Bsdf:
     return {"type": "roughconductor", "material": "none", "distribution": "beckmann", "alpha": alpha}
 
 
+def brushed(alpha_u: float, alpha_v: float) -> Bsdf:
+    """That reflects everything, with a grain: `RoughConductorAnisotropic` with a large k is the same on Pairs."""
+    rough = {"type": "roughconductor", "distribution": "ggx", "alpha_u": alpha_u, "alpha_v": alpha_v}
+    return {**rough, "eta": METAL[0], "k": METAL[1]}
+
+
+def lathe() -> Bsdf:
+    """The unit sphere whose parallels, along which u grows, are level."""
+    return {"type": "sphere", "to_world": mitsuba().ScalarTransform4f().rotate([1, 0, 0], -90)}
+
+
 def table(path: Path, alpha: float) -> Bsdf:
     """A MERL table; alpha: about how rough it is, for choosing directions only."""
     return {"type": "merl_table", "filename": str(path), "alpha": alpha}
@@ -115,7 +128,8 @@ class Beckmann:
 class Studio:
     """A mesh, a view and light in Mitsuba: pictures of size x size pixels, of those that are in `where`.
 
-    centers: look at the middle of each pixel, as our pictures do; else at random points of it.
+    centers: look at the middle of each pixel, as our pictures do; else at random points of it. shape: what stands in
+    the mesh's place in Mitsuba.
     """
 
     def __init__(
@@ -125,8 +139,9 @@ class Studio:
         light: Environment | Sequence[PunctualLight],
         where: Tensor,
         centers: bool = True,
+        shape: Bsdf | None = None,
     ) -> None:
-        self.mesh, self.where, self.centers = mesh, where, centers
+        self.mesh, self.where, self.centers, self.shape = mesh, where, centers, shape
         mi = mitsuba()
         eye, axes = camera.pose(mesh)
         sensor = {
@@ -152,9 +167,8 @@ class Studio:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "mesh.ply"
             self.mesh.save(path)
-            scene = mi.load_dict(
-                {"type": "scene", "object": {"type": "ply", "filename": str(path), "bsdf": bsdf}, **self._lights}
-            )
+            shape = self.shape or {"type": "ply", "filename": str(path)}
+            scene = mi.load_dict({"type": "scene", "object": {**shape, "bsdf": bsdf}, **self._lights})
         sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
         count, size = sampler.sample_count(), len(self.where)
         sampler.set_samples_per_wavefront(count)

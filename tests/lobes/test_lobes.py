@@ -10,7 +10,8 @@ from helpers.directions import hemisphere
 from helpers.lobe_cases import every_lobe, made, middle, some_pairs, values
 from torch import Tensor
 
-from torchbrdf.lobes import LOBES
+from torchbrdf.errors import ShapeError
+from torchbrdf.lobes import LOBES, Lobe
 from torchbrdf.pairs import Pairs
 
 DTYPES = [torch.float32, torch.float64]
@@ -150,13 +151,92 @@ def test_reciprocity(name: str) -> None:
     torch.testing.assert_close(lobe(swapped), lobe(pairs), rtol=1e-12, atol=0)
 
 
-@every_lobe
-def test_turning_both_directions_changes_nothing(name: str) -> None:
-    lobe, pairs = made(name), some_pairs(100)
-    c, s = math.cos(0.7), math.sin(0.7)
+def turned(pairs: Pairs, angle: float) -> Pairs:
+    """Both directions turned about the normal."""
+    c, s = math.cos(angle), math.sin(angle)
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
-    turned = Pairs.from_directions(pairs.wi @ turn.T, pairs.wo @ turn.T)
-    torch.testing.assert_close(lobe(turned), lobe(pairs), rtol=1e-9, atol=0)
+    return Pairs.from_directions(pairs.wi @ turn.T, pairs.wo @ turn.T)
+
+
+@every_lobe
+def test_turning_both_directions(name: str) -> None:
+    """It changes nothing, unless a lobe is anisotropic: then half of a turn is none, and a quarter is one."""
+    lobe, pairs = made(name), some_pairs(100)
+    if LOBES[name].is_anisotropic:
+        first, second = LOBES[name].axes
+        lobe = LOBES[name](**{**values(name), second: 5 * values(name)[first]})
+        torch.testing.assert_close(lobe(turned(pairs, math.pi)), lobe(pairs), rtol=1e-9, atol=0)
+        assert ((lobe(turned(pairs, math.pi / 2)) / lobe(pairs)).log().abs() > 0.01).double().mean() > 0.5
+    else:
+        torch.testing.assert_close(lobe(turned(pairs, 0.7)), lobe(pairs), rtol=1e-9, atol=0)
+
+
+every_anisotropic = pytest.mark.parametrize("name", [name for name, lobe in LOBES.items() if lobe.is_anisotropic])
+
+
+@every_anisotropic
+@pytest.mark.parametrize("rotation", [0.0, 0.4, -2.0])
+def test_equal_widths_are_the_isotropic_lobe(name: str, rotation: float) -> None:
+    kind, isotropic = LOBES[name], LOBES[name.removesuffix("_anisotropic")]
+    parameters, pairs = values(name), some_pairs(500)
+    first, second = kind.axes
+    width = {first: parameters[first], second: parameters[first], "rotation": torch.full((1,), rotation).double()}
+    found = kind.function(pairs, **{**parameters, **width})
+    own = {spec: parameters[spec if spec in parameters else first] for spec in isotropic.parameter_specs}
+    torch.testing.assert_close(found, isotropic.function(pairs, **own), rtol=1e-9, atol=0)
+
+
+@every_anisotropic
+def test_turning_the_grain_is_turning_the_directions(name: str) -> None:
+    parameters, pairs = values(name), some_pairs(100)
+    first, second = LOBES[name].axes
+    parameters = {**parameters, second: 3 * parameters[first]}
+    further = {**parameters, "rotation": parameters["rotation"] + 0.7}
+    function = LOBES[name].function
+    torch.testing.assert_close(
+        function(turned(pairs, 0.7), **further), function(pairs, **parameters), rtol=1e-9, atol=0
+    )
+
+
+@every_anisotropic
+def test_the_canonical_grain_is_the_same_lobe(name: str) -> None:
+    """Along x it is the narrow one, and the rotation is within half of a turn."""
+    kind, pairs = LOBES[name], some_pairs(50)
+    first, second = kind.axes
+    rotation = torch.linspace(-math.pi, math.pi, 17, dtype=torch.float64)[:, None]
+    for ratio in (0.5, 1.0, 2.0):
+        parameters = {**values(name, 17), "rotation": rotation}
+        parameters[second] = ratio * parameters[first]
+        found = kind.canonical(parameters)
+        torch.testing.assert_close(kind.function(pairs, **found), kind.function(pairs, **parameters), rtol=1e-9, atol=0)
+        assert (found["rotation"] > -math.pi / 2 - 1e-12).all() and (found["rotation"] <= math.pi / 2 + 1e-12).all()
+        narrow = found[first] <= found[second] if kind.rises_with_width else found[first] >= found[second]
+        assert narrow.all()
+        again = kind.canonical(found)
+        assert all(torch.equal(value, found[key]) for key, value in again.items())
+
+
+@every_anisotropic
+def test_pairs_that_know_no_azimuth_are_refused(name: str) -> None:
+    pairs, lobe = some_pairs(5), made(name)
+    cosines = Pairs.from_cosines(pairs.cos_i, pairs.cos_o, pairs.cos_h, pairs.cos_d, pairs.tan2_h)
+    angles = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d)
+    for unknown in (cosines, angles):
+        with pytest.raises(ShapeError, match=r"^Pairs: slope_x is needed, but only .* were given$"):
+            lobe(unknown)
+    known = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, pairs.phi_h)
+    torch.testing.assert_close(lobe(known), lobe(pairs), rtol=1e-9, atol=1e-300)
+
+
+@every_anisotropic
+def test_derivatives_of_the_anisotropic(name: str) -> None:
+    """Those of `value_and_jacobian` are those of forward differentiation, at equal widths, too."""
+    kind, pairs = LOBES[name], some_pairs(200)
+    scalars = {spec.name: torch.tensor([[spec.start], [0.9 * spec.start + 0.1]]).double() for spec in kind.scalars()}
+    scalars[kind.axes[1]][1] = scalars[kind.axes[0]][1]
+    expected = Lobe.value_and_jacobian.__func__(kind, pairs, *scalars.values())  # type: ignore[attr-defined]
+    for own, other in zip(kind.value_and_jacobian(pairs, *scalars.values()), expected, strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-9, atol=1e-12)
 
 
 @every_lobe

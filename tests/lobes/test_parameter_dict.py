@@ -18,7 +18,7 @@ def test_parameters_of_some_materials_give_their_values(name: str) -> None:
             value.mul_(torch.tensor([0.5, 0.7, 0.9]).double().reshape(3, *[1] * (value.dim() - 1)))
     values = get_parameters(model)
     angle = torch.linspace(0.1, 0.7, 5, dtype=torch.float64)[None]
-    pairs = Pairs.from_half_diff(angle, angle, 2 * angle)
+    pairs = Pairs.from_half_diff(angle, angle, 2 * angle, 3 * angle)
     assert list(values) == list(named_specs(model)) == [name for name, _ in model.named_parameters()]
     assert not any(value.requires_grad for value in values.values())
     before = model(pairs).detach().clone()

@@ -70,7 +70,7 @@ def plastic(monkeypatch: pytest.MonkeyPatch) -> type[Lobe]:
 
 def pairs_of(count: int = N, seed: int = 0) -> Pairs:
     generator = torch.Generator().manual_seed(seed)
-    angles = 0.78 * torch.rand(3, 1, count, generator=generator, dtype=torch.float64)  # all above the horizon
+    angles = 0.78 * torch.rand(4, 1, count, generator=generator, dtype=torch.float64)  # all above the horizon
     return Pairs.from_half_diff(*angles)
 
 

@@ -102,13 +102,18 @@ class Broken(Lobe):
         return torch.where(pairs.cos_i > 0.5, 0.1, value)[..., None].expand(*pairs.shape, 3)
 
 
-@pytest.mark.parametrize("kind", sorted(LOBE_KINDS))
+@pytest.mark.parametrize("kind", sorted(name for name, lobe in LOBE_KINDS.items() if not lobe.is_anisotropic))
 def test_every_lobe_as_it_starts(tmp_path: Path, kind: str) -> None:
     lobe, path, pairs = LOBE_KINDS[kind](), tmp_path / "x.bsdf", random_pairs(1000)
     write_rgl(path, lobe, angles=24, size=48)
     expected, found = lobe(pairs)[0].detach(), load(path, dtype=torch.float64).at(pairs)[0]
     off = (found - expected).abs().sum(-1) * pairs.cos_o[0]
     assert off.sum() < 0.03 * (expected.abs().sum(-1) * pairs.cos_o[0]).sum()
+
+
+def test_a_lobe_with_a_grain_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"^a table: expected an isotropic material, found a lobe with a grain"):
+        write_rgl(tmp_path / "x.bsdf", LOBE_KINDS["ggx_anisotropic"]())
 
 
 def test_what_is_not_finite_or_beyond_all_measure_does_not_spread(tmp_path: Path) -> None:

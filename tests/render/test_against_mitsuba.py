@@ -1,5 +1,6 @@
 """Pictures against those of another renderer: the same object, camera, light and BRDF in Mitsuba 3."""
 
+import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -8,10 +9,23 @@ import numpy as np
 import pytest
 import torch
 from helpers.measured_files import BINS, merl_centres
-from helpers.mitsuba_pictures import Beckmann, Bsdf, Likeness, Studio, conductor, diffuse, likeness, obstacle, table
+from helpers.mitsuba_pictures import (
+    METAL,
+    Beckmann,
+    Bsdf,
+    Likeness,
+    Studio,
+    brushed,
+    conductor,
+    diffuse,
+    lathe,
+    likeness,
+    obstacle,
+    table,
+)
 from torch import Tensor
 
-from torchbrdf.lobes import CookTorrance, Lambert, Sum
+from torchbrdf.lobes import CookTorrance, Lambert, RoughConductorAnisotropic, Sum
 from torchbrdf.measured import load
 from torchbrdf.measured.merl import write_merl
 from torchbrdf.pairs import Pairs
@@ -137,3 +151,16 @@ def test_punctual_lights_as_mitsuba_draws_them(material: str, light: PunctualLig
     # Where a shadow begins, a pixel may be in the light or not.
     assert (away < 1e-4).float().mean() > 0.99
     assert (expected[where].sum(-1) == 0).float().mean() > 0.1
+
+
+@pytest.mark.parametrize("widths", [(0.05, 0.3), pytest.param((0.3, 0.1), marks=pytest.mark.slow)])
+def test_a_brushed_sphere_as_mitsuba_draws_it(widths: tuple[float, float]) -> None:
+    """Turned on a lathe: the grain of its parallels, or across them; Mitsuba's own sphere has the same tangents."""
+    where = scene_of("sphere", False).coverage == 1
+    brush = Studio(sphere(6), CAMERA, surroundings(), where, shape=lathe())
+    bsdf = brushed(*widths)
+    names = dict(zip(("roughness_x", "roughness_y", "eta", "k"), (*widths, *METAL), strict=True))
+    ours = render(RoughConductorAnisotropic(specular=1.0, **names), scene_of("sphere", False))[0]
+    check(likeness(ours, [brush.picture(bsdf, SAMPLES, seed) for seed in (0, 1)], where))
+    across = render(RoughConductorAnisotropic(specular=1.0, **names, rotation=math.pi / 2), scene_of("sphere", False))
+    assert likeness(across[0], [brush.picture(bsdf, 64, seed) for seed in (0, 1)], where).psnr < 35

@@ -106,6 +106,9 @@ def refuse_matches(exporter: Exporter, material: Material, out: str | os.PathLik
 
 def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> Exported:
     """Write a material by an exporter, but never in the place of the file that it is made of."""
+    if exporter.isotropic_only and isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic:
+        to = EXPORTERS.name_of(type(exporter)) or type(exporter).__name__
+        raise DataError(f"{material.name}: expected an isotropic material for {to}, found one with a grain")
     folder = writable(Path(out))
     for suffix in (exporter.suffix, *exporter.beside):
         path = material.path(folder, suffix)

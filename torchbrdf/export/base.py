@@ -85,11 +85,13 @@ class Exporter(ABC):
         suffix: Of the file to open, such as ".xml".
         beside: Suffixes of other files that it may write, such as ".bsdf".
         writes_mesh: Whether an object is written, too.
+        isotropic_only: Whether lobes with a grain are refused, as tables have no room for them.
     """
 
     suffix: ClassVar[str]
     beside: ClassVar[tuple[str, ...]] = ()
     writes_mesh: ClassVar[bool] = False
+    isotropic_only: ClassVar[bool] = False
 
     def __init__(self, mesh: Mesh | None = None) -> None:
         if mesh is not None and not self.writes_mesh:

@@ -33,6 +33,7 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)
 class BrdfExplorer(Exporter):
     """A `.brdf` file where every lobe has GLSL, see `shaders/`; else a MERL table, which BRDF Explorer reads, too."""
 
+    isotropic_only: ClassVar[bool] = True
     suffix: ClassVar[str] = ".brdf"
     beside: ClassVar[tuple[str, ...]] = (".binary",)
 

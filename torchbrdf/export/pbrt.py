@@ -40,6 +40,7 @@ Setting = tuple[str, str | float | bool | Sequence[float]]
 class Pbrt(Exporter):
     """A `MakeNamedMaterial`: diffuse, a conductor that comes near a metal, or else a measured one, a table."""
 
+    isotropic_only: ClassVar[bool] = True
     suffix: ClassVar[str] = ".pbrt"
     beside: ClassVar[tuple[str, ...]] = (TABLE,)
 

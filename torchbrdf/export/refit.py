@@ -1,8 +1,10 @@
 """What a program has no model for is fitted by one that it has."""
 
+import math
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.export.base import Material
@@ -12,6 +14,7 @@ from torchbrdf.lobes import Lobe, make_model
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import Measured
 from torchbrdf.measured.merl import bin_centers
+from torchbrdf.pairs import Pairs
 from torchbrdf.solvers import Status
 
 LOSS = "compressed"
@@ -23,6 +26,8 @@ MODELS_REACH = 89.0
 # What a layer is multiplied by, in any model, and how much larger the error may be without it.
 LAYERS = ("sheen_color", "sheen", "fuzz_weight", "clearcoat", "coat_weight")
 IDLE = 1.03
+# Of a turn: the golden angle.
+GOLDEN = math.pi * (3 - math.sqrt(5))
 # Ends of a fit after which there is a model.
 ENDED = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
 
@@ -70,7 +75,9 @@ def refit(material: Material, model: str) -> Refit:
         raise DataError(f"{material.name}: cannot be refitted as {model}: {reason}")
     early = "" if status == Status.CONVERGED else f"; not converged: {reason}"
     fitted, error = _without_idle_layers(_first(result.model), measured, error)
-    return Refit(fitted, error, f"refitted as {model} under {LOSS}: error {error:.3g}{early}")
+    grain = isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic and not fitted.is_anisotropic
+    lost = "; without its grain" if grain else ""
+    return Refit(fitted, error, f"refitted as {model} under {LOSS}: error {error:.3g}{lost}{early}")
 
 
 def _without_idle_layers(model: Lobe, measured: Measured, error: float) -> tuple[Lobe, float]:
@@ -102,11 +109,17 @@ def _some(measured: Measured) -> Measured:
 def _values_of(model: Lobe, name: str) -> Measured:
     """A model's values at some of MERL's bins, as if they had been measured."""
     pairs = bin_centers()
+    pairs = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, _all_round(len(pairs)))
     dtype = next(model.parameters()).dtype
     pairs = pairs.select(samples=stratified(len(pairs), SAMPLES, seed=0)).to(dtype=dtype)
     with torch.no_grad():
         values = model(pairs).expand(1, -1, -1)
     return Measured.from_samples(pairs, values, names=[name])
+
+
+def _all_round(count: int) -> Tensor:
+    """Azimuths of half vectors in no order, `(1, count)`."""
+    return (torch.arange(count, dtype=torch.float64, device="cpu") * GOLDEN).remainder(2 * math.pi)[None]
 
 
 def _first(model: Lobe) -> Lobe:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchbrdf import kinds
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.grain import check_grain, without_grain
 from torchbrdf.fitting.intervals import (
     BOOTSTRAP,
     GAUSS_NEWTON,
@@ -33,7 +34,14 @@ from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatisti
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.in_bands import with_channels
-from torchbrdf.lobes.parameter_dict import ParameterDict, get_parameters, named_specs, take_materials, with_parameters
+from torchbrdf.lobes.parameter_dict import (
+    ParameterDict,
+    canonical,
+    get_parameters,
+    named_specs,
+    take_materials,
+    with_parameters,
+)
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.parallel import Lost
@@ -108,7 +116,8 @@ def fit(
         The fitted models, their errors, and how each fit ended.
 
     Raises:
-        UsageError: for an option that does not exist, or without any material.
+        UsageError: for an option that does not exist, or without any material; or if a lobe has a grain, and the
+            measurement, or what the loss compares, has none.
         DataError: for bands under a loss of pictures.
         ShapeError: if all starts are outside their bounds, or the loss and the values do not fit together.
 
@@ -132,6 +141,7 @@ def fit(
         STRATEGIES[strategy]
     check_method(intervals)
     loss = as_loss(loss)
+    check_grain(model, measured, loss)
     diffuse = diffuse_mode(diffuse, loss, model)
     if loss.objective == "autograd" or not loss.has_closed_derivatives:
         warnings.warn(
@@ -173,6 +183,9 @@ def fit(
     done = _with_lost(found, start, reasons)
     status = _statuses(done, reasons, free, max_theta)
     found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
+    intervals_found = joined_intervals([(one.values, one.intervals) for one in done])
+    for row in without_grain(model, found_values, intervals_found):
+        log.warning("torchbrdf: %s: the direction of the grain is not determined", measured.names[row])
     return FitResult(
         names=measured.names,
         model=with_parameters(model, found_values),
@@ -191,7 +204,7 @@ def fit(
         seed=seed,
         scene=loss.scene_summary,
         chosen=[name for found in done for name in found.outcome.chosen or [""] * len(found.error)],
-        intervals=joined_intervals([(one.values, one.intervals) for one in done]),
+        intervals=intervals_found,
         wavelengths=measured.wavelengths,
         reading=[measured.source.reading(material) for material in measured.materials],
         noise=noise_records(measured, loss, seed),
@@ -313,6 +326,7 @@ class _FitSome:
         if not isinstance(outcome, Outcome):
             found = type(outcome).__name__
             raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
+        outcome.values = canonical(task.model, outcome.values)
         return outcome
 
     def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:

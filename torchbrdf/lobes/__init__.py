@@ -4,6 +4,7 @@ from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine
 from torchbrdf.lobes.abc_distribution import LowABC, abc
 from torchbrdf.lobes.abc_smooth import LowABCSmooth, abc_smooth
 from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley, ashikhmin_shirley
+from torchbrdf.lobes.ashikhmin_shirley_anisotropic import AshikhminShirleyAnisotropic, ashikhmin_shirley_anisotropic
 from torchbrdf.lobes.ashikhmin_shirley_ior import AshikhminShirleyIOR, ashikhmin_shirley_ior
 from torchbrdf.lobes.base import LOBES, Lobe
 from torchbrdf.lobes.beckmann import Beckmann, beckmann
@@ -16,6 +17,7 @@ from torchbrdf.lobes.duer import Duer, duer
 from torchbrdf.lobes.eon import EON, eon
 from torchbrdf.lobes.fresnel import conductor, dielectric, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
+from torchbrdf.lobes.ggx_anisotropic import GGXAnisotropic, ggx_anisotropic
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
 from torchbrdf.lobes.gltf import GLTF, gltf
 from torchbrdf.lobes.gtr import GTR, gtr
@@ -29,6 +31,7 @@ from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
 from torchbrdf.lobes.records import FitRecord, OutsideBoundsWarning, model_of, read_fits, write_fits
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
+from torchbrdf.lobes.roughconductor_anisotropic import RoughConductorAnisotropic, roughconductor_anisotropic
 from torchbrdf.lobes.roughness import (
     ROUGHNESS,
     RoughnessConvention,
@@ -42,6 +45,7 @@ from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
 from torchbrdf.lobes.ward import Ward, ward
+from torchbrdf.lobes.ward_anisotropic import WardAnisotropic, ward_anisotropic
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
 from torchbrdf.lobes.zoo import zoo_names
 
@@ -54,6 +58,7 @@ __all__ = [
     "LOBES",
     "ROUGHNESS",
     "AshikhminShirley",
+    "AshikhminShirleyAnisotropic",
     "AshikhminShirleyIOR",
     "Beckmann",
     "BlinnPhong",
@@ -64,6 +69,7 @@ __all__ = [
     "DistributionBased",
     "Duer",
     "FitRecord",
+    "GGXAnisotropic",
     "He",
     "Lafortune",
     "Lambert",
@@ -75,12 +81,14 @@ __all__ = [
     "OutsideBoundsWarning",
     "Principled",
     "RoughConductor",
+    "RoughConductorAnisotropic",
     "RoughPlastic",
     "RoughnessConvention",
     "ShiftedGamma",
     "StudentT",
     "Sum",
     "Ward",
+    "WardAnisotropic",
     "WardDuer",
     "abc",
     "abc_smooth",
@@ -89,6 +97,7 @@ __all__ = [
     "alpha_to_roughness",
     "apply_albedo",
     "ashikhmin_shirley",
+    "ashikhmin_shirley_anisotropic",
     "ashikhmin_shirley_ior",
     "beckmann",
     "blinn_phong",
@@ -104,6 +113,7 @@ __all__ = [
     "exponent_to_alpha",
     "from_parameters",
     "ggx",
+    "ggx_anisotropic",
     "ggx_f82",
     "gltf",
     "gtr",
@@ -119,12 +129,14 @@ __all__ = [
     "principled",
     "read_fits",
     "roughconductor",
+    "roughconductor_anisotropic",
     "roughness_to_alpha",
     "roughplastic",
     "schlick",
     "shifted_gamma",
     "student_t",
     "ward",
+    "ward_anisotropic",
     "ward_duer",
     "write_fits",
     "zoo_names",

@@ -2,7 +2,7 @@
 
 import copy
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import InitVar
 from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
@@ -78,6 +78,8 @@ class Lobe(_Declared):
     """How many channels values have: those of linear RGB, or bands, see `torchbrdf.lobes.in_bands`."""
     in_rgb: ClassVar[type["Lobe"]]
     """The kind with three channels; itself, if it has these."""
+    is_anisotropic: ClassVar[bool] = False
+    """Whether values change as the surface is turned about its normal; such a lobe needs pairs that know directions."""
     scalars_of_terms: ClassVar[tuple[str, ...] | None] = None
     """The parameters that `terms` takes, in that order; None: all of one number."""
     function: ClassVar[Callable[..., Tensor]]
@@ -367,6 +369,43 @@ class Lobe(_Declared):
         if colour is None:
             raise UsageError(f"{cls.__name__}: expected coefficients times terms, found a lobe that declares none")
         return parameters[colour.name][..., None]
+
+    @classmethod
+    def canonical(cls, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Of all parameters that give the same lobe those that fits tell.
+
+        Args:
+            parameters: all of the lobe's by name, `(..., k)`.
+
+        Returns:
+            The same, or others of the same lobe.
+
+        Example:
+            >>> import torch
+            >>> from torchbrdf.lobes import WardAnisotropic
+            >>> WardAnisotropic.canonical(dict(WardAnisotropic(roughness_x=0.3, roughness_y=0.1).named_parameters()))[
+            ...     "roughness_x"
+            ... ].item()
+            0.10000000149011612
+        """
+        return dict(parameters)
+
+    @classmethod
+    def other_starts(cls, parameters: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+        """Where the staged procedure starts as well, of which it goes on with the best.
+
+        Args:
+            parameters: where it starts first, all of the lobe's by name, `(..., k)`.
+
+        Returns:
+            Parameters in their place.
+
+        Example:
+            >>> from torchbrdf.lobes import Ward, WardAnisotropic
+            >>> [len(kind.other_starts(dict(kind().named_parameters()))) for kind in (Ward, WardAnisotropic)]
+            [0, 3]
+        """
+        return []
 
     def components(self) -> list["Lobe"]:
         """The lobes that this one adds up; itself, if it is no sum."""

@@ -86,3 +86,13 @@ def outside_bounds(model: Lobe) -> list[str]:
             outside = value[(value < low) | (value > high)].tolist()
             found += [f"{name} {outside[0]:g}, not {spec.lower:g} to {spec.upper:g}"] if outside else []
     return found
+
+
+def canonical(model: Lobe, values: ParameterDict) -> ParameterDict:
+    """The parameters of the same model that fits tell; those of lobes that share some of them stay as they are."""
+    found, shared = dict(values), shared_specs(model)
+    for component, names in zip(model.components(), component_names(model), strict=True):
+        own = component.canonical({name: values[full] for name, full in names.items()})
+        if not any(full in shared and own[name] is not values[full] for name, full in names.items()):
+            found |= {full: own[name] for name, full in names.items()}
+    return found

@@ -365,7 +365,8 @@ def _probes() -> Pairs:
     """Pairs all over the hemisphere, the normal, the mirror's direction and the horizon among them, `(1, N)`."""
     steps = torch.linspace(0, 1, 7, dtype=torch.float64, device="cpu")
     theta_h, theta_d, phi_d = (part.reshape(1, -1) for part in torch.meshgrid(steps**2, steps, steps, indexing="ij"))
-    return Pairs.from_half_diff(theta_h * (math.pi / 2), theta_d * (math.pi / 2) * 0.999, phi_d * math.pi)
+    phi_h = torch.arange(theta_h.shape[1], dtype=torch.float64, device="cpu")  # all round, in no order
+    return Pairs.from_half_diff(theta_h * (math.pi / 2), theta_d * (math.pi / 2) * 0.999, phi_d * math.pi, phi_h)
 
 
 def _said(error: Exception) -> str:

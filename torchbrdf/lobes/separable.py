@@ -122,7 +122,7 @@ def pattern(kind: "type[Lobe]") -> Pattern:
         angle = torch.full((1, 1), 0.3, dtype=torch.float64, device="cpu")
         starts = {name: _start(spec) for name, spec in kind.parameter_specs.items()}
         scalars = [starts[spec.name] for spec in kind.term_scalars()]
-        values, slopes = kind.terms_and_jacobian(Pairs.from_half_diff(angle, angle, angle), *scalars)
+        values, slopes = kind.terms_and_jacobian(Pairs.from_half_diff(angle, angle, angle, angle), *scalars)
         known = tuple(tuple(j for j, one in enumerate(own) if one is not None) for own in slopes)
         with torch.inference_mode(False), torch.enable_grad():
             own = [start.clone().requires_grad_() for start in starts.values()]

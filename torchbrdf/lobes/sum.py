@@ -42,6 +42,11 @@ class Sum(Lobe):
         """The lobes that are added, without nesting."""
         return list(self.lobes)  # type: ignore[arg-type]
 
+    @property
+    def is_anisotropic(self) -> bool:  # type: ignore[override]
+        """Whether one of its lobes is."""
+        return any(lobe.is_anisotropic for lobe in self.components())
+
     def forward(self, pairs: Pairs) -> Tensor:
         """The sum of the lobes' values on pairs, `(..., N, C)`."""
         first, *rest = self.lobes

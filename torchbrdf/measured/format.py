@@ -247,6 +247,11 @@ class BrdfFormat(ABC):
         told = getattr(self, "told", {})
         return found | ({"settings": dict(told)} if told else {})
 
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """Whether lobes with a grain can be fitted: also where samples that know azimuths look isotropic."""
+        return self.is_anisotropic
+
     def has_grain(self, material: int) -> bool:
         """Whether one of the materials is anisotropic: by default each, where the source is."""
         return self.is_anisotropic

@@ -88,6 +88,7 @@ class Measured:
         weight: Tensor | None = None,
         names: Sequence[str] | None = None,
         wavelengths: Sequence[float] | None = None,
+        anisotropic: bool | None = None,
     ) -> "Measured":
         """Measured BRDFs from tensors.
 
@@ -98,10 +99,13 @@ class Measured:
             weight: How much each sample counts, which broadcasts to `(M, N, 1)`; by default 1.
             names: Of the M materials.
             wavelengths: Of the C bands, nm, growing; None: linear RGB where C is 3, else unknown.
+            anisotropic: Whether values depend on how the surface is turned; by default found by the values, where the
+                pairs are directions with the light in more than one plane through the normal.
 
         Raises:
             UsageError: `pairs` are none.
-            ShapeError: The shapes do not fit together, directions are no unit vectors, or wavelengths do not grow.
+            ShapeError: The shapes do not fit together, directions are no unit vectors, wavelengths do not grow, or
+                pairs without directions are said to be of anisotropic materials.
             DataError: A name is none; or no value at all is finite and above the horizon.
 
         Example:
@@ -111,7 +115,8 @@ class Measured:
             tensor([1., 1.])
         """
         check_given(pairs, values)
-        return cls(Samples(pairs, values, weight, names, wavelengths), dtype=values.dtype, device=values.device)
+        source = Samples(pairs, values, weight, names, wavelengths, anisotropic)
+        return cls(source, dtype=values.dtype, device=values.device)
 
     @property
     def names(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 import operator
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ from torch import Tensor
 from torchbrdf.errors import DataError, ShapeError, UsageError, shown
 from torchbrdf.measured.bands import checked_wavelengths
 from torchbrdf.measured.format import BrdfFormat
+from torchbrdf.measured.grain import grain_of
 from torchbrdf.names import check_name
 from torchbrdf.pairs import Pairs
 
 # By how much the length of a unit vector may be off, by rounding, also of half precision.
 _ROUNDING = 1e-2
+# Samples by which it is found out whether materials are anisotropic.
+_ENOUGH = 20_000
 
 
 class Samples(BrdfFormat):
@@ -30,6 +34,7 @@ class Samples(BrdfFormat):
         weight: Tensor | None,
         names: Sequence[str] | None,
         wavelengths: Sequence[float] | None = None,
+        anisotropic: bool | None = None,
     ) -> None:
         if values.dim() != 3 or not values.shape[-1] or values.shape[1] != len(pairs):
             raise ShapeError(f"Measured: expected values (M, {len(pairs)}, C), found {(*values.shape,)}")
@@ -45,11 +50,35 @@ class Samples(BrdfFormat):
         given_names = names if names is not None else [f"material{k}" for k in range(len(values))]
         self.names = [check_name(name, "Measured: names") for name in given_names]
         self.paths = []
+        if anisotropic and not pairs.is_oriented:
+            raise ShapeError("Measured: anisotropic: expected pairs of directions, found cosines or angles alone")
+        self._told = anisotropic
+
+    @cached_property
+    def is_anisotropic(self) -> bool:  # type: ignore[override]
+        """As it was told, or where values are better predicted with the azimuths than without."""
+        if self._told is not None or not self.may_be_anisotropic:
+            return bool(self._told)
+        return any(map(self._is_better_with_azimuths, range(len(self.names))))
+
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """As it was told, or where the light lies in more than one plane through the normal."""
+        return _is_turned(self.pairs) if self._told is None else self._told
+
+    def _is_better_with_azimuths(self, material: int) -> bool:
+        pairs = self.pairs.select([material])
+        valid = (self.weight[material, :, 0] > 0).nonzero()[:, 0]
+        some = valid[:: max(len(valid) // _ENOUGH, 1)].cpu()
+        wi, wo = (one[0, some].double().cpu().numpy() for one in (pairs.wi, pairs.wo))
+        values = self.values[material, some].double().mean(-1).cpu().numpy()
+        return len(some) > 0 and grain_of(wi, wo, values).is_there
 
     def select(self, materials: list[int]) -> "Samples":
         """Some materials, where all share the pairs."""
         names = [self.names[k] for k in materials]
-        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self.wavelengths)
+        weight = self.weight[materials]
+        return Samples(self.pairs, self.values[materials], weight, names, self.wavelengths, self._told)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -68,6 +97,16 @@ class Samples(BrdfFormat):
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """The given values `(m, n, C)` and weights `(m, n, 1)`."""
         return self.values[materials][:, samples], self.weight[materials][:, samples]
+
+
+def _is_turned(pairs: Pairs) -> bool:
+    """Whether the pairs are directions with lights in more than one plane through the normal."""
+    if not pairs.is_oriented or not len(pairs):
+        return False
+    x, y, _ = pairs.wi.double().unbind(-1)
+    azimuth = torch.atan2(y, x)[x.square() + y.square() > 1e-6]
+    # Twice the angle, as both sides of a plane are one.
+    return len(azimuth) > 0 and bool(((2 * (azimuth - azimuth[0])).cos() < 1 - 1e-4).any())
 
 
 def check_given(pairs: Pairs, values: Tensor) -> None:

@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import one_line
+from torchbrdf.errors import DataError, one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
+from torchbrdf.lobes.model import component_kinds
 from torchbrdf.measured.bands import (
     BANDS,
     DEFAULT_ILLUMINANT,
@@ -65,6 +66,7 @@ class StandIn(BrdfFormat):
         self.names = [
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
+        self.is_anisotropic = any(map(_has_grain, records))
         self.pairs = bin_centers()
         if self.told.get("bands") == KEEP:
             self._keep_bands()
@@ -104,7 +106,11 @@ class StandIn(BrdfFormat):
         return cls(records, origin, settings)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """Values of models on some bins, float64, and weights 1."""
+        """Values of models on some bins, float64, and weights 1; none of lobes with a grain, which bins do not know."""
+        for material in materials:
+            if _has_grain(self.records[material]):
+                model = self.records[material].model
+                raise DataError(f"{self.names[material]}: expected an isotropic model for MERL's bins, found {model}")
         values = self.at(self.pairs.select(samples=samples), materials, "linear").values
         return values, torch.ones_like(values[..., :1])
 
@@ -189,6 +195,10 @@ def standins() -> Path:
         'standins.json'
     """
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
+
+
+def _has_grain(record: FitRecord) -> bool:
+    return any(kind.is_anisotropic for kind in component_kinds(record.model, record.lobes))
 
 
 def _full_name(record: FitRecord) -> str:

@@ -66,6 +66,8 @@ def check_rgb(brdf: Brdf, who: str) -> None:
 
 def check_single(brdf: Brdf) -> None:
     """Refuse what is not one material."""
+    if isinstance(brdf, Lobe) and brdf.is_anisotropic:
+        raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
     if isinstance(brdf, Measured):
         count = len(brdf)
     elif isinstance(brdf, Lobe):

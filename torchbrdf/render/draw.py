@@ -39,7 +39,7 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
         brdf: A Lobe (batched or not), a Measured, or anything that gives values in 1/sr, `(m, N, 3)` or `(N, 3)`, on
             Pairs; or several of those, whose pictures follow each other. Geometry and light are worked out once. Where
             BRDFs are reciprocal, it is by the scene's transport: measured tables, four and more pictures, and all
-            further ones of a scene that was drawn so.
+            further ones of a scene that was drawn so. Anisotropic ones are drawn in the frames of the mesh's tangents.
         scene: What is drawn.
         progress: Is called with what is done and what there is to do as the work goes on.
 
@@ -68,8 +68,11 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
 def worth_a_transport(brdfs: Sequence[Lobe | Measured], pictures: int, is_there: bool = False) -> bool:
     """Whether so many pictures are quicker by a transport, and these BRDFs are reciprocal, as it takes them to be.
 
-    One that is there is quicker, and so are tables: a pair costs more to look up in one than to find its bin.
+    One that is there is quicker, and so are tables: a pair costs more to look up in one than to find its bin. It takes
+    them to be isotropic, too.
     """
+    if any(one.is_anisotropic for one in brdfs):
+        return False
     tables = any(isinstance(one, Measured) and not one.stand_in for one in brdfs)
     return (pictures >= SEVERAL or tables or is_there) and all(map(is_reciprocal, brdfs))
 
@@ -79,10 +82,12 @@ def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | No
     runs = list(zip_longest(*(_shaders(one) for one in brdfs), fillvalue=()))
     pictures: list[list[Tensor]] = [[] for _ in brdfs]
     done, total = 0, 2 * len(runs) * int(scene.mask.sum())
+    # A function of somebody's own may ask for the surface's tangent; isotropic ones do not.
+    jobs = scene.jobs(any(not isinstance(one, Lobe | Measured) or one.is_anisotropic for one in brdfs))
     for run in runs:
         shaders = [(owner, shader) for owner, own in enumerate(run) for shader in own]
         drawn: list[Tensor] = []
-        for pixel, parts in thread_map(partial(_light, [shader for _, shader in shaders]), scene.jobs()):
+        for pixel, parts in thread_map(partial(_light, [shader for _, shader in shaders]), jobs):
             drawn = drawn or [
                 torch.zeros(len(part), scene.size**2, 3, dtype=part.dtype, device=part.device) for part in parts
             ]
@@ -99,7 +104,13 @@ def render_directly(brdfs: Sequence[Brdf], scene: Scene, progress: Progress | No
 @torch.no_grad()
 @undisturbed()
 def render_by_transport(brdfs: Sequence[Lobe | Measured], scene: Scene, progress: Progress | None = None) -> Tensor:
-    """As `render`: every BRDF evaluated on the scene's compact pairs, and one sparse product for many pictures."""
+    """As `render`: every BRDF evaluated on the scene's compact pairs, and one sparse product for many pictures.
+
+    Raises:
+        UsageError: One is anisotropic, and has no values on pairs that know no tangent.
+    """
+    if any(one.is_anisotropic for one in brdfs):
+        raise UsageError("transport: expected isotropic BRDFs, found one with a grain; `render` draws it")
     shaders = [shader for one in brdfs for run in _shaders(one) for shader in run]
     compact = scene.compact
     bytes_each = 3 * torch.float32.itemsize * 2 * (len(compact.pairs) + compact.count)

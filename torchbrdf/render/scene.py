@@ -26,6 +26,7 @@ from torchbrdf.render.transport.quadrature import (
     LightQuadrature,
     PunctualQuadrature,
     Quadrature,
+    turned,
 )
 from torchbrdf.render.transport.transport import Transport, in_places
 
@@ -125,14 +126,16 @@ class Scene:
         found[self._pixels.index] = self._pixels.outgoing[2]
         return found.unflatten(0, (self.size, self.size))
 
-    def jobs(self) -> list[Callable[[], Chunk]]:
+    def jobs(self, oriented: bool = False) -> list[Callable[[], Chunk]]:
         """Functions that make the parts of the quadrature: pixels `(p,)`, Pairs `(1, p L)`, weights `(p, L, 3)`.
 
-        Pixels count row by row. Each comes up once in every part of the quadrature.
+        Pixels count row by row. Each comes up once in every part of the quadrature. oriented: with directions in the
+        frame of the mesh's tangents, which anisotropic materials need.
         """
 
         def job(part: Quadrature, rows: Tensor) -> Chunk:
-            return self._pixels.index[rows], *part.samples(rows)
+            pairs, weight = part.samples(rows)
+            return self._pixels.index[rows], turned(pairs, self._pixels.azimuth[rows]) if oriented else pairs, weight
 
         return [partial(job, part, rows) for part, rows in self._jobs]
 
@@ -176,6 +179,8 @@ class Scene:
     def _ingredients(self) -> list[object]:
         """All that the transport is made of."""
         mesh = [self.mesh.vertices, self.mesh.faces, self.mesh.normals]
+        if self.mesh.tangents is not None:
+            mesh.append(self.mesh.tangents)
         light = [self.environment.texels.numpy(), self.environment.rotation] if self.environment else []
         numbers = (self.size, self.nodes, self.light_samples, self.shadows, self.resolution)
         return [

@@ -109,7 +109,7 @@ def _tube(middle: np.ndarray, side: np.ndarray, up: np.ndarray, thick: float, ac
     a, b, c, d = (x.ravel() for x in (k, np.roll(k, -1, 0), np.roll(k, -1, (0, 1)), np.roll(k, -1, 1)))
     faces = np.concatenate([np.stack([a, c, b], -1), np.stack([a, d, c], -1)])
     vertices = middle[:, None] + thick * normals
-    return Mesh(vertices.reshape(-1, 3), faces, normals.reshape(-1, 3), name)
+    return Mesh(vertices.reshape(-1, 3), faces, normals.reshape(-1, 3), name=name)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,20 @@ _DIGITS = 8
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
-    """Vertices, faces and unit normals of all parts.
+class Joined(NamedTuple):
+    """A mesh's arrays. tangents: where u of texture coordinates grows, 0 where there are none; None if there are none.
+
+    They are unit vectors in the surface, as normals are across it.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    tangents: np.ndarray | None
+
+
+def join(path: Path, parts: Sequence[Part], say: Say) -> Joined:
+    """Vertices, faces, unit normals and tangents of all parts.
 
     Normals of the file are kept, normalised. A vertex without one gets the mean of the triangles around its place, by
     their angles there, or that of one of its triangles where they cancel.
@@ -44,6 +57,7 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
         say(f"dropped {(~with_area).sum()} of {len(with_area)} triangles without area")
         faces, corners, flat = faces[with_area], corners[with_area], flat[with_area]
         across = across[with_area]
+    along = along_u(corners, _coordinates(parts)[faces]) if any(one.coordinates is not None for one in parts) else None
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3)
     if len(used) < len(vertices):
@@ -76,7 +90,37 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Arrays:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     kept = kept[order]
-    return vertices[kept], np.ascontiguousarray(rank[index][faces]), given[kept]
+    faces, normals = np.ascontiguousarray(rank[index][faces]), given[kept]
+    tangents = None if along is None or not along.any() else _in_the_surface(along, faces, normals)
+    return Joined(vertices[kept], faces, normals, tangents)
+
+
+def along_u(corners: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
+    """Of each triangle where u grows along it, as long as twice its area, `(F, 3)`; 0 where no u does.
+
+    corners: `(F, 3, 3)`; coordinates: `(F, 3, 2)`, NaN where there are none.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    with np.errstate(all="ignore"):
+        (u1, v1), (u2, v2) = ((coordinates[:, k] - coordinates[:, 0]).T for k in (1, 2))
+        way = np.sign(u1 * v2 - u2 * v1)[:, None] * unit(first * v2[:, None] - second * v1[:, None])
+    area = np.linalg.norm(np.cross(first, second), axis=1, keepdims=True)
+    return np.nan_to_num(way) * area
+
+
+def _coordinates(parts: Sequence[Part]) -> np.ndarray:
+    """Texture coordinates of all parts, NaN where there are none."""
+    none = (np.full((len(one.vertices), 2), np.nan) for one in parts)
+    return np.concatenate(
+        [lack if one.coordinates is None else one.coordinates for one, lack in zip(parts, none, strict=True)]
+    )
+
+
+def _in_the_surface(along: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Vectors of triangles as unit ones of their vertices, at right angles to the normals; 0 where they cancel."""
+    sums = [np.bincount(faces.T.ravel(), np.tile(along[:, k], 3), len(normals)) for k in range(3)]
+    total = np.stack(sums, 1)
+    return unit(total - (total * normals).sum(1, keepdims=True) * normals)
 
 
 def _concatenated(path: Path, parts: Sequence[Part], say: Say) -> Arrays:

@@ -13,6 +13,9 @@ from torchbrdf.files import replacing
 from torchbrdf.render.raster.join import join
 from torchbrdf.render.raster.mesh_formats import read_parts
 
+# Of a normal: shorter level parts have no direction.
+_LEVEL = 1e-9
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -23,6 +26,9 @@ class Mesh:
         faces: Indices of the corners of each triangle, `(F, 3)`.
         normals: Unit vectors pointing outward, `(V, 3)`.
         name: What messages call it: the path of its file.
+        tangents: Along the surface, `(V, 3)`, of any length: where the tangent of anisotropic materials lies, that of
+            a growing u of texture coordinates as a rule. None, and a vector of 0 of a vertex: level around the
+            vertical axis, to the right of who looks at the surface, see `level_tangents`.
 
     Raises:
         ShapeError: Shapes do not fit together, a face names no vertex, or a number is not finite.
@@ -38,18 +44,22 @@ class Mesh:
     faces: np.ndarray
     normals: np.ndarray
     name: str = field(default="mesh", compare=False)
+    tangents: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         shapes = [np.shape(array) for array in (self.vertices, self.faces, self.normals)]
         if any(len(shape) != 2 or shape[1] != 3 or not shape[0] for shape in shapes) or shapes[0] != shapes[2]:
             raise ShapeError(f"{self.name}: expected vertices (V, 3), faces (F, 3), normals (V, 3), found {shapes}")
+        if self.tangents is not None and np.shape(self.tangents) != np.shape(self.vertices):
+            raise ShapeError(f"{self.name}: expected tangents {shapes[0]}, found {np.shape(self.tangents)}")
         if not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise ShapeError(
                 f"{self.name}: expected faces of vertices 0 to {len(self.vertices) - 1}, "
                 f"found {self.faces.min()} to {self.faces.max()}"
             )
-        if not (np.isfinite(self.vertices).all() and np.isfinite(self.normals).all()):
-            raise ShapeError(f"{self.name}: expected finite vertices and normals, found others")
+        given = [self.vertices, self.normals] if self.tangents is None else [self.vertices, self.normals, self.tangents]
+        if not all(np.isfinite(array).all() for array in given):
+            raise ShapeError(f"{self.name}: expected finite vertices, normals and tangents, found others")
 
     @classmethod
     def load(cls, path: str | Path) -> "Mesh":
@@ -60,6 +70,7 @@ class Mesh:
         triangle refers to, faces without area and parts without faces are dropped; normals that are not of length 1
         are normalised; a closed mesh that is inside out is turned (of an open one that cannot be known, but both
         sides are drawn); and a vertex whose faces cancel takes the normal of one of them. Polygons become triangles.
+        Texture coordinates of OBJ and PLY files give the tangents: they lie where u grows.
         Materials, textures, colours and smoothing groups are not read, nor bones. A glTF file whose triangles depend on
         more than its buffers and nodes (extensions, sparse accessors, weighted morph targets) is refused.
 
@@ -69,10 +80,11 @@ class Mesh:
                 origin; or a buffer of a glTF file is not in its folder.
         """
         path = Path(path)
-        return cls(*join(path, read_parts(path, partial(_warn, path)), partial(_warn, path)), name=str(path))
+        found = join(path, read_parts(path, partial(_warn, path)), partial(_warn, path))
+        return cls(found.vertices, found.faces, found.normals, str(path), found.tangents)
 
     def save(self, path: str | Path) -> None:
-        """Write the mesh as a binary PLY with normals, single precision."""
+        """Write the mesh as a binary PLY with normals, single precision, without tangents."""
         names = ("x", "y", "z", "nx", "ny", "nz")
         properties = "".join(f"property float {name}\n" for name in names)
         header = (
@@ -112,6 +124,28 @@ def sphere(levels: int = 6) -> Mesh:
     """
     vertices, faces = octahedral_sphere(levels)
     return Mesh(vertices, faces, vertices.copy(), name="sphere")
+
+
+def level_tangents(normals: np.ndarray) -> np.ndarray:
+    """Unit tangents that are level, around the vertical axis +y, of a surface with these normals.
+
+    They are those of a sphere's parallels, as on a metal that was turned on a lathe. Where the surface is level itself
+    they are +x.
+
+    Args:
+        normals: Unit vectors, `(..., 3)`.
+
+    Example:
+        >>> import numpy as np
+        >>> level_tangents(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
+        array([[1., 0., 0.],
+               [1., 0., 0.]])
+    """
+    x, z = normals[..., 0], normals[..., 2]
+    length = np.hypot(x, z)
+    none = length < _LEVEL
+    safe = np.where(none, 1, length)
+    return np.stack([np.where(none, 1, z / safe), np.zeros_like(x), np.where(none, 0, -x / safe)], -1)
 
 
 def blob() -> Mesh:

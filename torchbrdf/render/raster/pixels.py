@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +11,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError
 from torchbrdf.render.light.octahedral import to_square
 from torchbrdf.render.raster.camera import Camera
-from torchbrdf.render.raster.mesh import Mesh
+from torchbrdf.render.raster.mesh import Mesh, level_tangents
 from torchbrdf.render.raster.raster import rasterize
 
 # Pixels are looked at in a raster this much finer, so that the outline is smooth.
@@ -19,6 +20,8 @@ _FINER = 3
 _PRIORITY = [4, 1, 3, 5, 7, 0, 2, 6, 8]
 # A smooth normal may face away at the outline, where its flat triangle does not; it is bent to have this cosine.
 _LOWEST = 0.02
+# Of a tangent the share of its square that has to lie in the surface.
+_NO_TANGENT = 1e-8
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Pixels:
 
     coverage: `(size, size)`, the share of each pixel that the object covers; index: `(P,)`, row by row; position:
     `(P, 3)`; frame: `(P, 3, 3)`, rows tangent, bitangent, normal; outgoing: `(3, P)`, to the viewer, in that frame
-    (sin, 0, cos). float32.
+    (sin, 0, cos); tangent: `(P, 3)`, the mesh's own, if it has some. float32.
     """
 
     coverage: Tensor
@@ -35,13 +38,28 @@ class Pixels:
     position: Tensor
     frame: Tensor
     outgoing: Tensor
+    tangent: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.index)
 
     def select(self, rows: Tensor) -> "Pixels":
         """Some of the pixels, by row."""
-        return Pixels(self.coverage, self.index[rows], self.position[rows], self.frame[rows], self.outgoing[:, rows])
+        tangent = None if self.tangent is None else self.tangent[rows]
+        return Pixels(
+            self.coverage, self.index[rows], self.position[rows], self.frame[rows], self.outgoing[:, rows], tangent
+        )
+
+    @cached_property
+    def azimuth(self) -> Tensor:
+        """Where the surface's own tangent lies in the frame, radians, `(P,)`: the mesh's, or the level one."""
+        level = torch.from_numpy(level_tangents(self.frame[:, 2].double().numpy())).to(self.frame)
+        own = level if self.tangent is None else self.tangent
+        along, across = (_along(own, self.frame[:, k]) for k in (0, 1))
+        # What is next to nothing, or along the normal, has no direction.
+        none = along.square() + across.square() < _NO_TANGENT * own.square().sum(-1).clamp_min(1e-30)
+        own = torch.where(none[:, None], level, own)
+        return torch.atan2(_along(own, self.frame[:, 1]), _along(own, self.frame[:, 0]))
 
 
 def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pixels:
@@ -69,7 +87,11 @@ def rasterize_pixels(mesh: Mesh, camera: Camera, size: int, backend: str) -> Pix
     order = _along_a_curve(normal).argsort(stable=True)
     frame, outgoing = _frames(normal[order], outgoing[order])
     parts = (position[order], frame, outgoing)
-    return Pixels(coverage, pixel[order], *(part.to(torch.float32) for part in parts))
+    tangent = None
+    if fine.tangent is not None:
+        tangent = blocks(torch.from_numpy(fine.tangent))[pixel, chosen][order].to(torch.float32)
+    position, frame, outgoing = (part.to(torch.float32) for part in parts)
+    return Pixels(coverage, pixel[order], position, frame, outgoing, tangent)
 
 
 def _facing(mesh: Mesh, normal: Tensor, face: Tensor, outgoing: Tensor) -> Tensor:
@@ -97,6 +119,10 @@ def _frames(normal: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
     tangent = F.normalize(torch.where(sine > 1e-9, across, anything), dim=-1)
     frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], 1)
     return frame, torch.stack([sine, torch.zeros_like(sine), cosine])[..., 0]
+
+
+def _along(vectors: Tensor, axes: Tensor) -> Tensor:
+    return (vectors * axes).sum(-1)
 
 
 def _along_a_curve(directions: Tensor) -> Tensor:

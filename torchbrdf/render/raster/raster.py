@@ -19,12 +19,14 @@ _PIXELS = 1 << 14
 class GBuffer:
     """Geometry that a camera sees, each `(size, size, ...)`, top row first.
 
-    The triangle's id (-1 for none), positions and smooth unit normals (0 where there is nothing).
+    The triangle's id (-1 for none), positions and smooth unit normals (0 where there is nothing), and the mesh's
+    tangents, None if it has none.
     """
 
     triangle: np.ndarray
     position: np.ndarray
     normal: np.ndarray
+    tangent: np.ndarray | None = None
 
     @property
     def mask(self) -> np.ndarray:
@@ -42,6 +44,7 @@ def rasterize(mesh: Mesh, camera: Camera, size: int, backend: str = "software") 
     points = camera.project(mesh, size)
     triangle = nearest_triangles(points, mesh.faces, size, backend)
     position, normal = (np.zeros((size * size, 3)) for _ in range(2))
+    tangent = None if mesh.tangents is None else np.zeros((size * size, 3))
     seen = np.flatnonzero(triangle >= 0)
     for pixels in np.array_split(seen, len(seen) // _PIXELS + 1):
         corners = mesh.faces[triangle.reshape(-1)[pixels]]
@@ -50,7 +53,10 @@ def rasterize(mesh: Mesh, camera: Camera, size: int, backend: str = "software") 
         smooth = _blend(weights, mesh.normals, corners)
         length = np.sqrt(np.einsum("pc,pc->p", smooth, smooth))
         normal[pixels] = smooth / np.maximum(length, 1e-30)[:, None]
-    return GBuffer(triangle, *(values.reshape(size, size, 3) for values in (position, normal)))
+        if tangent is not None and mesh.tangents is not None:
+            tangent[pixels] = _blend(weights, mesh.tangents, corners)
+    found = (None if values is None else values.reshape(size, size, 3) for values in (position, normal, tangent))
+    return GBuffer(triangle, *found)  # type: ignore[arg-type]
 
 
 def _barycentrics(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:

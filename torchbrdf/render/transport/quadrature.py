@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchbrdf import half_difference
 from torchbrdf.measured.grid import nearest_valid
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
@@ -328,7 +329,15 @@ def _pairs(incident: Tensor, outgoing: Tensor, cos_d: Tensor, cos_h: Tensor, tan
     wi, wo = (vector.expand_as(incident).reshape(3, -1).T[None] for vector in (incident, outgoing))
     # theta_d from the cosine is exact enough, and cheaper than from the directions
     known["theta_d"] = torch.atan2((1 - known["cos_d"].square()).clamp_min(0).sqrt(), known["cos_d"])
-    return Pairs(wi=wi, wo=wo, **known)
+    # The directions are in the frame of the viewer, and say nothing of the surface's tangent: they come last.
+    return Pairs(**known, wi=wi, wo=wo)
+
+
+def turned(pairs: Pairs, azimuth: Tensor) -> Pairs:
+    """Pairs `(1, p L)` of p pixels with directions in the frame of the surface's tangent, whose azimuth is given."""
+    angle = -azimuth.repeat_interleave(len(pairs) // len(azimuth))[None]
+    directions = {"wi": half_difference.turned(pairs.wi, angle), "wo": half_difference.turned(pairs.wo, angle)}
+    return Pairs(**directions, **{name: value for name, value in pairs.items() if name not in directions})
 
 
 def _pairs_at(place: Tensor) -> Pairs:

@@ -22,12 +22,13 @@ class Part:
     """Triangles of a file, as they are in it.
 
     vertices: `(V, 3)`, float64. faces: indices of corners, `(F, 3)`, int64. normals: `(V, 3)`, float64, as they are in
-    the file, NaN for a vertex that has none; None if no vertex has one.
+    the file, NaN for a vertex that has none; None if no vertex has one. coordinates: `(V, 2)`, of textures, alike.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
+    coordinates: np.ndarray | None = None
 
 
 def check_count(path: Path, count: int) -> None:

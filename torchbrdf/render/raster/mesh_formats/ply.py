@@ -1,6 +1,6 @@
 """Stanford PLY, as text or binary of either byte order: vertices with normals, and faces of any number of corners."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # What the list of a face's corners is called.
 _CORNERS = ("vertex_indices", "vertex_index")
+# What texture coordinates are called.
+_COORDINATES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,12 @@ def read(path: Path, data: bytes, say: Say) -> list[Part]:
         return []
     vertices = _stack(path, columns, ("x", "y", "z"))
     normals = _stack(path, columns, ("nx", "ny", "nz")) if "nx" in columns else None
-    return [Part(vertices, triangulate(path, vertices, polygons, say), normals)]
+    names = next((names for names in _COORDINATES if all(name in columns for name in names)), ())
+    coordinates = _stack(path, columns, names) if names else None
+    return [Part(vertices, triangulate(path, vertices, polygons, say), normals, coordinates)]
 
 
-def _stack(path: Path, columns: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def _stack(path: Path, columns: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
     if not all(name in columns for name in names):
         raise DataError(f"{path}: expected vertices with {', '.join(names)}, found {shown(', '.join(columns))}")
     return np.stack([columns[name] for name in names], 1).astype(np.float64)
