@@ -124,7 +124,8 @@ def test_records_of_a_grain(tmp_path, caplog: pytest.LogCaptureFixture) -> None:
 
 def refusals() -> list[tuple[Measured, torch.nn.Module, str]]:
     pairs = scattered(400)
-    flat = Pairs.from_directions(pairs.wi * torch.tensor([1.0, 0.0, 1.0]), pairs.wo)
+    plane = torch.nn.functional.normalize(pairs.wi * torch.tensor([1.0, 0.0, 1.0]), dim=-1)
+    flat = Pairs.from_directions(plane, pairs.wo)
     angles = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d)
     grey = torch.full((1, 400, 3), 0.3, dtype=torch.float64)
     scene = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=4))
