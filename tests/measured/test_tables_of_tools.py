@@ -436,6 +436,26 @@ def test_text_and_binary_are_alike(tmp_path):
     torch.testing.assert_close(text.pairs.wo, binary.pairs.wo)
 
 
+def test_the_mirror_direction_may_be_on_the_other_side(tmp_path):
+    def other(wi, wo):
+        return isotropic(wi * [-1, -1, 1], wo)
+
+    for make in (speos, speos_binary, speos_spectral):
+        here, there = (opened(tmp_path, make(f=f), f"{f.__name__}.dat") for f in (isotropic, other))
+        said = describe(tmp_path / "other.dat")["angles"]
+        assert "is at phi = 180, where values are" in said and said.endswith("--read mirror=0 says otherwise")
+        good = there.weight[0, :, 0] > 0
+        ratio = there.values[0, good, 1] / expected(there.pairs)[good]
+        if make is not speos_spectral:  # of which each table has a scale of its own
+            torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio), rtol=1e-5, atol=0)
+        assert ratio.max() < 3 * ratio.min()
+        told = opened(tmp_path, make(f=isotropic), "told", mirror="180")
+        torch.testing.assert_close(told.pairs.wi, here.pairs.wi * torch.tensor([-1, -1, 1]))
+        assert describe(tmp_path / "isotropic.dat")["angles"].startswith(
+            "degrees; the mirror direction is at phi = 0, as"
+        )
+
+
 def lambertian(wi, wo):
     return 0 * wo[..., 2] + 7
 
