@@ -4,8 +4,11 @@ import gzip
 import struct
 
 import numpy as np
+import torch
 
 from helpers.listed_files import known
+from torchbrdf.measured import load
+from torchbrdf.pairs import Pairs
 
 BASES = {
     "LBNL/Klems Full": ((5, 15, 25, 35, 45, 55, 65, 75, 90), (1, 8, 16, 20, 24, 24, 24, 16, 12)),
@@ -263,3 +266,32 @@ def lighttools(lights=(0, 20, 40, 60), *, side="Front", kind="BRDF", content="Mo
             value = isotropic(directions(np.radians(light) + 0 * polar, np.pi / 2 + 0 * polar), directions(polar, turn))
             lines += [" ".join(f"{one:.9g}" for one in row) for row in value]
     return "\n".join([*lines, "DataEnd"]) + "\n"
+
+
+def written(folder, data, name="made-up.dat"):
+    """The path of a file that holds bytes or text."""
+    path = folder / name
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    return path
+
+
+def opened(folder, data, name="made-up.dat", **settings):
+    """What is measured in a file that holds bytes or text."""
+    return load(written(folder, data, name), dtype=torch.float64, settings=settings or None)
+
+
+def at(measured, interpolation="linear", step=0):
+    """Pairs above the horizon, and values at them: the samples, or others nearby, `(N, 3)`."""
+    pairs = measured.pairs
+    if step:
+        source = torch.Generator().manual_seed(0)
+        moved = [one + step * torch.randn(one.shape, generator=source, dtype=one.dtype) for one in (pairs.wi, pairs.wo)]
+        pairs = Pairs.from_directions(*(torch.nn.functional.normalize(one, dim=-1) for one in moved))
+    high = (torch.minimum(pairs.cos_i, pairs.cos_o)[0] > 0.1).nonzero()[:, 0]
+    pairs = pairs.select(samples=high)
+    return pairs, measured.at(pairs, interpolation)[0]
+
+
+def expected(pairs, f=isotropic):
+    """A known BRDF at pairs, `(N,)`."""
+    return torch.from_numpy(f(pairs.wi[0].numpy(), pairs.wo[0].numpy()))

@@ -28,10 +28,12 @@ _ENDS = (380.0, 780.0)
 _BYTES_A_SAMPLE = 200
 # Of rounding in a file, degrees.
 _TOLERANCE = 1e-3
+# The mirror direction is looked for with light at 20 to 80 degrees, within 5 of it; so much brighter is another one.
+_TILTED, _TILTED_RANGE, _MIRROR_NEAR, _BRIGHTER = 50.0, 30.0, 5.0, 1.1
 
 
 class _Table(NamedTuple):
-    """Values `(A, B)` over theta and phi of the viewer, degrees; at phi = 0 lies the mirror direction."""
+    """Values `(A, B)` over theta and phi of the viewer, degrees."""
 
     theta: np.ndarray
     phi: np.ndarray
@@ -57,11 +59,15 @@ class Speos(ListedFormat):
     """The format of Speos' measured BSDFs; only the reflection is read.
 
     A file gives shapes and how much is reflected: of `.anisotropicbsdf` at one angle of the light for each wavelength,
-    by which all values are scaled, and of `.brdf` for each table.
+    by which all values are scaled, and of `.brdf` for each table. At phi = 0 lies the mirror direction, as Speos'
+    documentation has it, unless there it is darker than at phi = 180: there are such files.
     """
 
     format = "speos"
-    settings: ClassVar = {name: values for name, values in SETTINGS.items() if name not in ("angles", "quantity")}
+    settings: ClassVar = {
+        **{name: values for name, values in SETTINGS.items() if name not in ("angles", "quantity")},
+        "mirror": ("auto", "0", "180"),
+    }
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -84,7 +90,32 @@ class Speos(ListedFormat):
         else:
             listed = _anisotropic(path, cursor)
         facts = {"kind": f"{name}, version {version}, {'binary' if isinstance(cursor, BinaryCursor) else 'text'}"}
-        return Listed(listed.angles, listed.values, listed.wavelengths, listed.quantity, {**facts, **listed.facts})
+        at, facts["angles"] = _mirror(listed, self.setting("mirror", "auto"))
+        angles = listed.angles + np.radians([0, at, 0, 0])
+        return Listed(angles, listed.values, listed.wavelengths, listed.quantity, {**facts, **listed.facts})
+
+
+def _mirror(listed: Listed, told: str) -> tuple[float, str]:
+    """The phi at which the mirror direction lies, degrees, and how that is known, in words.
+
+    Args:
+        listed: Samples, as if it were 0.
+        told: What the reader was told.
+    """
+    words = "degrees; the mirror direction is at phi ="
+    light, _, viewer, _ = np.degrees(listed.angles).T
+    turn = np.degrees(listed.angles[:, 3] - listed.angles[:, 1]) % 360
+    near = (np.abs(light - _TILTED) <= _TILTED_RANGE) & (np.abs(light - viewer) <= _MIRROR_NEAR)
+    there, back = near & (np.abs(turn - 180) <= _MIRROR_NEAR), near & (np.abs((turn + 180) % 360 - 180) <= _MIRROR_NEAR)
+    times = 0.0
+    if there.any() and back.any():
+        times = float(listed.values[back].mean() / max(listed.values[there].mean(), 1e-30))
+    if told != "auto":
+        return float(told), f"{words} {told}, as was told"
+    if times <= _BRIGHTER:
+        return 0.0, f"{words} 0, as Speos' documentation has it; --read mirror=180 says otherwise"
+    said = f"where values are {times:.2g} times as high as at 0, where Speos' documentation has it"
+    return 180.0, f"{words} 180, {said}; --read mirror=0 says otherwise"
 
 
 def _opened(path: Path, data: bytes) -> Cursor:
@@ -181,7 +212,6 @@ def _anisotropic(path: Path, cursor: Cursor) -> Listed:
         path, tables, [(turn, light) for turn, own in zip(turns, lights, strict=True) for light in own]
     )
     facts: dict[str, object] = {
-        "angles": "degrees; the mirror direction is at phi = 0; light comes from 180 degrees less the grain's angle",
         "angles of the grain, degrees": " ".join(f"{turn:g}" for turn in turns[:12]),
         "scale": f"{factor:.4g}, so that light at {at[0]:g} degrees has the reflectance of the file: "
         f"{' '.join(f'{100 * one:.4g}' for one in shares[:6])} %",
@@ -265,7 +295,6 @@ def _spectral(path: Path, cursor: TextCursor) -> Listed:
                 angles.append(place)
         values.append(np.stack(columns, -1))
     facts = {
-        "angles": "degrees; the mirror direction is at phi = 0",
         "scale": "each table such that it reflects what the file says",
         "parts": "reflection and transmission; the reflection is read" if transmits else "reflection",
     }

@@ -87,7 +87,8 @@ class WindowFormat(GriddedFormat):
         band = self._band(path, side, list(own))
         rest = [name for name in own if name != band]
         facts: dict[str, object] = {"material": shown(document.material)} if document.material else {}
-        facts["side"] = f"{side}; the file has {words}" + ("" if told == side else "; --read side=front, side=back")
+        more = "" if told == side else "; --read side=front, side=back"
+        facts["side"] = f"{side}; the file has {shown(words, 120)}{more}"
         if self.has_colors and set(TRISTIMULUS) <= set(own) and band == "visible":
             own, rest = {name: own[name] for name in TRISTIMULUS}, [name for name in rest if name not in TRISTIMULUS]
         else:
