@@ -165,14 +165,14 @@ def test_bad_input_gets_one_line(paint, tmp_path, capsys, arguments, status, sai
 @pytest.mark.parametrize(
     ("arguments", "fifo"),
     [
-        (["view", "nowhere.binary", "--out", "OUT"], "out"),
-        (["view", "nowhere.binary", "--out", "OUT/view.html"], "out/view.html"),
-        (["fit", "nowhere.binary", "--out", "OUT"], "out"),
-        (["fit", "nowhere.binary", "--out", "OUT"], "out/fits.json"),
-        (["fit", "nowhere.binary", "--out", "OUT"], "out/fits.csv"),
-        (["render", "nowhere.binary", "--out", "OUT"], "out"),
-        (["render", "nowhere.binary", "--out", "OUT"], "out/sheet.png"),
-        (["render", "nowhere.binary", "--out", "OUT"], "out/tonemap.json"),
+        (["view", "FILE", "--out", "OUT"], "out"),
+        (["view", "FILE", "--out", "OUT/view.html"], "out/view.html"),
+        (["fit", "FILE", "--out", "OUT"], "out"),
+        (["fit", "FILE", "--out", "OUT"], "out/fits.json"),
+        (["fit", "FILE", "--out", "OUT"], "out/fits.csv"),
+        (["render", "FILE", "--out", "OUT"], "out"),
+        (["render", "FILE", "--out", "OUT"], "out/sheet.png"),
+        (["render", "FILE", "--out", "OUT"], "out/tonemap.json"),
         (["run", "fores2012", "--out", "OUT"], "out"),
     ],
 )
@@ -180,7 +180,9 @@ def test_what_is_no_file_is_not_written_over_and_that_is_said_before_there_is_wo
     path = tmp_path / fifo
     path.parent.mkdir(exist_ok=True)
     os.mkfifo(path)
-    assert main([a.replace("OUT", str(tmp_path / "out")) for a in arguments]) == 1
+    (tmp_path / "bad.binary").write_text("no measurement")
+    places = {"OUT": tmp_path / "out", "FILE": tmp_path / "bad.binary"}
+    assert main([re.sub("OUT|FILE", lambda found: str(places[found[0]]), a) for a in arguments]) == 1
     kind = "a folder" if arguments[0] != "view" and fifo == "out" else "a file"
     assert capsys.readouterr().err == f"torchbrdf: {path}: expected {kind} or a new name, found a FIFO\n"
     assert path.is_fifo() and not list(tmp_path.glob("**/.*"))

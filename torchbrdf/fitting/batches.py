@@ -92,6 +92,8 @@ class Batches:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice and self.out is not None:
             raise DataError(f"{twice[0]}: comes twice; give each file a name of its own")
+        for group in groups:
+            self._check_bands(group)
         if self.out is not None:
             known = KnownMaterials(self.out)
             for group in groups:
@@ -101,7 +103,6 @@ class Batches:
         found: list[FitRecord] = []
         before = self.done
         for group in groups:
-            self._check_bands(group)
             left = [k for k, name in enumerate(group.names) if name not in before]
             done = len(found) + len(group) - len(left)
             progress(done, len(names))

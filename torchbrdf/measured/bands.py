@@ -176,7 +176,7 @@ def luminance_shares(wavelengths: Sequence[float], illuminant: str = DEFAULT_ILL
     Example:
         >>> from torchbrdf.measured.bands import luminance_shares
         >>> [round(share, 3) for share in luminance_shares([465, 525, 630])]
-        [0.113, 0.539, 0.348]
+        [0.079, 0.577, 0.344]
     """
     found = np.clip(rgb_weights(wavelengths, illuminant) @ np.array(LUMINANCE), 0, None)  # Y, but for rounding
     return tuple((found / found.sum()).tolist())

@@ -111,7 +111,8 @@ def load_all(
     check_settings(groups, settings)
     found = []
     for name, members in groups.items():
-        alike = [members] if bad is None and bands == RGB else _alike(name, members, bad, settings)
+        one = bad is None and (settings or {}).get("bands", RGB) == RGB
+        alike = [members] if one else _alike(name, members, bad, settings)
         found += [_open(name, own, dtype, device, settings) for own in alike]
     return found
 

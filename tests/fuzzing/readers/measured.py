@@ -3,6 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import torch
 from helpers.listed_files import (
     alta,
@@ -51,6 +52,13 @@ def make_rgl(folder: Path) -> None:
 
 def make_rgl_anisotropic(folder: Path) -> None:
     (folder / "fuzzed_rgb.bsdf").write_bytes(tensor_file(anisotropic_bsdf(size=6, azimuths=5, angles=4)))
+
+
+def make_spectral(folder: Path) -> None:
+    fields = synthetic_bsdf()
+    rgb = fields.pop("rgb")
+    fields |= {"wavelengths": np.array([400, 500, 600, 700], "f4"), "spectra": rgb[:, :, [0, 1, 2, 0]]}
+    (folder / "fuzzed_spec.bsdf").write_bytes(tensor_file(fields))
 
 
 def make_astm(folder: Path) -> None:
@@ -122,9 +130,19 @@ def use_listed(path: Path) -> None:
     check_finite(measured.distance_at(check_pairs()), "distance")
 
 
-def use_measured(path: Path) -> None:
+def use_bands(path: Path) -> None:
+    """As a fit of bands uses it, and as RGB of these."""
+    use_measured(path)
+    use_measured(path, "keep")
+    kept = load(path, dtype=torch.float64, bands="keep")
+    expect(kept.has_colors, "bands without wavelengths")
+    check_finite(kept.to_rgb().at(check_pairs()), "colours")
+    check_finite(torch.tensor(kept.luminance_shares), "luminance")
+
+
+def use_measured(path: Path, bands: str = "rgb") -> None:
     """As a fit and a picture use it: some samples, and values anywhere."""
-    measured = load(path, dtype=torch.float64)
+    measured = load(path, dtype=torch.float64, bands=bands)
     for name in measured.names:
         check_name(name, "name")
     sampled = measured.batch(range(min(2, len(measured))), samples=torch.arange(min(300, measured.pairs.shape[-1])))
@@ -156,6 +174,12 @@ def records() -> list[FitRecord]:
 
 def make_fits(folder: Path) -> None:
     write_fits(folder / "fits.json", records())
+
+
+def make_bands(folder: Path) -> None:
+    model = make_model("ward", 1, channels=5)
+    found = [FitRecord("paint", "ward", 1, parameters(model), channels=5, wavelengths=[400.0, 450, 500, 600, 700])]
+    write_fits(folder / "fits.json", found)
 
 
 def make_ward(folder: Path) -> None:
@@ -209,11 +233,13 @@ READERS = (
     Reader("rgl-anisotropic", "fuzzed_rgb.bsdf", make_rgl_anisotropic, use_measured, (bsdf, bsdf), renamed=True),
     Reader("alta", "fuzzed.alta", make_alta, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("alta-binary", "fuzzed.alta", make_alta_binary, use_listed, TEXT, renamed=True),
+    Reader("rgl-spectral", "fuzzed_spec.bsdf", make_spectral, use_bands, (bsdf, bsdf), renamed=True),
     Reader("astm", "fuzzed.astm", make_astm, use_listed, (*TEXT, *TABLE), renamed=True),
     Reader("astm-grain", "fuzzed.astm", make_grain, use_listed, (*TEXT, *TABLE), renamed=True),
     Reader("bird", "fuzzed.brdf", make_bird, use_listed, (*JSON, *TEXT), renamed=True),
     Reader("columns", "fuzzed.csv", make_columns, use_listed, (*TABLE, *TEXT), renamed=True),
     Reader("cornell", "fuzzed.brdf", make_cornell, use_listed, TEXT, renamed=True),
+    Reader("cornell-bands", "fuzzed.brdf", make_cornell, use_bands, TEXT, renamed=True),
     Reader("fred", "fuzzed.txt", make_fred, use_listed, TEXT, renamed=True),
     Reader("ssdd", "fuzzed.ssdd", make_ssdd, use_listed, TEXT, renamed=True),
     Reader("ssdd-binary", "fuzzed.ssdd", make_ssdd_binary, use_listed, TEXT, renamed=True),
@@ -222,6 +248,7 @@ READERS = (
     Reader("zemax", "fuzzed.bsdf", make_zemax, use_listed, TEXT, renamed=True),
     Reader("fits", "fits.json", make_fits, use_fits, (*JSON, *TEXT)),
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
+    Reader("fits-bands", "fits.json", make_bands, use_bands, (*JSON, *TEXT)),
     Reader("continued", "fits.json", make_ward, use_continued, (*JSON, *TEXT)),
     Reader("metric", "metric.json", make_metric, use_metric, (*JSON, *TEXT)),
 )
