@@ -83,11 +83,13 @@ class Exporter(ABC):
         suffix: Of the file to open, such as ".xml".
         beside: Suffixes of other files that it may write, such as ".bsdf".
         writes_mesh: Whether an object is written, too.
+        keeps_bands: Whether bands of wavelengths are written as they are; others write linear RGB.
     """
 
     suffix: ClassVar[str]
     beside: ClassVar[tuple[str, ...]] = ()
     writes_mesh: ClassVar[bool] = False
+    keeps_bands: ClassVar[bool] = False
 
     def __init__(self, mesh: Mesh | None = None) -> None:
         if mesh is not None and not self.writes_mesh:
