@@ -60,7 +60,10 @@ def wrong_names() -> list[list[str]]:
             ],
         ),
         (kinds.STRATEGIES, [["fit", "x", "--strategy"], ["run", "fores2012", "compare_strategy="]]),
-        (kinds.EXPORTERS, [["export", "x", "--out", "o", "--to"], ["match", "x", "--for"]]),
+        (
+            kinds.EXPORTERS,
+            [["export", "x", "--out", "o", "--to"], ["match", "x", "--for"], ["convert", "x", "o", "--to"]],
+        ),
         (RECIPES, [["run"]]),
     ]
     found = []

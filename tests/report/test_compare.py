@@ -106,6 +106,17 @@ def test_what_was_never_measured_counts_in_no_metric(folder: Path, small: dict[s
     assert all(max(place.light, place.viewer) < 75 for place in other.places)
 
 
+def test_too_little_is_said(tmp_path: Path, small: dict[str, Scene]) -> None:
+    (tmp_path / "one.csv").write_text("theta_i,theta_o,phi,f\n30,30,180,2\n")
+    found = torchbrdf.compare(tmp_path / "one.csv", PAINT, scenes=small, out=tmp_path)
+    (known, _) = found.others[0].pairs
+    assert 0 < known < 100
+    assert f"  metrics: none, since only {known} of 6000 pairs of directions were measured of both" in found.lines()
+    assert not re.search(r"\bnan\b", " ".join(found.lines()))
+    text = (tmp_path / "compare.html").read_text(encoding="utf-8")
+    assert "<td>too little was measured</td>" in text and "<td>nan" not in text
+
+
 def test_slices_are_values_at_their_angles() -> None:
     pairs, counts = plane_pairs()
     found = slices_of(PAINT)

@@ -148,7 +148,7 @@ def test_one_bad_file_leaves_the_others(folder, tmp_path, capsys, monkeypatch):
     assert main([*arguments, "--size", "12", "--steps", "1", "--out", str(out), "--open"]) == 1
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and "nowhere.binary" in printed.err
-    assert printed.out.splitlines()[-1] == str(out) and printed.out.startswith("3 pictures, 0.0 MB")
+    assert printed.out.splitlines()[-1] == str(out) and printed.out.startswith("3 pictures, 0.2 MB")
     assert opened == [out.as_uri()]
     assert len(data_of(out)["items"]) == 3
 

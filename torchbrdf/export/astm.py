@@ -23,6 +23,7 @@ class AstmTable(TableExporter):
     """An `.astm`, a header and rows of four angles in radians and of values in 1/sr."""
 
     suffix = ".astm"
+    keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""

@@ -86,12 +86,14 @@ class Exporter(ABC):
         beside: Suffixes of other files that it may write, such as ".bsdf".
         writes_mesh: Whether an object is written, too.
         isotropic_only: Whether lobes with a grain are refused, as tables have no room for them.
+        keeps_bands: Whether bands of wavelengths are written as they are; others write linear RGB.
     """
 
     suffix: ClassVar[str]
     beside: ClassVar[tuple[str, ...]] = ()
     writes_mesh: ClassVar[bool] = False
     isotropic_only: ClassVar[bool] = False
+    keeps_bands: ClassVar[bool] = False
 
     def __init__(self, mesh: Mesh | None = None) -> None:
         if mesh is not None and not self.writes_mesh:

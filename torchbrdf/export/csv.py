@@ -20,6 +20,7 @@ class CsvTable(TableExporter):
     """A `.csv` with the angles of light and viewer in degrees, and columns `r`, `g`, `b` or bands such as `465nm`."""
 
     suffix = ".csv"
+    keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""

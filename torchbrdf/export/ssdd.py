@@ -31,6 +31,7 @@ class SsddTable(TableExporter):
     """An `.ssdd` in half and difference angles, which follow the highlight; text."""
 
     suffix = ".ssdd"
+    keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""

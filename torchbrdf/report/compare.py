@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.experiment.comparison import MOST, Compared, Source, Subject, compared, find_subjects, scenes_of
+from torchbrdf.experiment.comparison import LEAST, MOST, Compared, Source, Subject, compared, find_subjects, scenes_of
 from torchbrdf.experiment.labels import difference_label, loss_label
 from torchbrdf.experiment.matching.judge import Judge
 from torchbrdf.files import writable
@@ -142,8 +142,9 @@ def _lines(one: Compared) -> list[str]:
     """A material beside the reference, in words."""
     known, every = one.pairs
     over = "" if known == every else f", over the {known} of {every} pairs of directions that were measured"
-    lines = [f"metrics{over}:"]
-    for name, value in one.metrics.items():
+    few = f"metrics: none, since only {known} of {every} pairs of directions were measured of both"
+    lines = [few if known < LEAST else f"metrics{over}:"]
+    for name, value in one.metrics.items() if known >= LEAST else ():
         share = one.told(name)
         told = "" if share is None else f"told apart by {share.text}"
         lines.append(f"  {loss_label(name):26s} {value:<10.4g} {told}".rstrip())
@@ -151,5 +152,6 @@ def _lines(one: Compared) -> list[str]:
         parts = [f"{difference_label(name)} {value:.2f}" for name, value in figures.differences.items()]
         words = said("delta_e76", figures.delta_e76)
         lines.append(f"picture, {scene}: {', '.join(parts)}" + (f"; {words}" if words else ""))
-    lines += ["where they differ most:", *(f"  {place.words}" for place in one.places)]
+    if one.places:
+        lines += ["where they differ most:", *(f"  {place.words}" for place in one.places)]
     return lines

@@ -1,5 +1,6 @@
 """compare.html: numbers, slices that can be moved, pictures, and where materials differ most."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -69,8 +70,9 @@ def _rows(others: Sequence[Compared]) -> list[tuple[str, list[str]]]:
     for name in others[0].metrics:
         cells = []
         for one in others:
-            share = one.told(name)
-            cells.append(f"{one.metrics[name]:.4g}" + ("" if share is None else f", told apart by {share.brief}"))
+            share, value = one.told(name), one.metrics[name]
+            told = "" if share is None else f", told apart by {share.brief}"
+            cells.append("too little was measured" if math.isnan(value) else f"{value:.4g}{told}")
         found.append((loss_label(name), cells))
     for scene, first in others[0].figures.items():
         for key in first.differences:
