@@ -75,6 +75,11 @@ class BrdfFormat(ABC):
     is_anisotropic: bool = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """Whether lobes with a grain can be fitted: where values are anisotropic, unless a format says more."""
+        return self.is_anisotropic
+
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Values between scattered samples are reciprocal, and those of a way of its own need not be."""
         super().__init_subclass__(**keywords)

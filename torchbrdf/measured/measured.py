@@ -34,6 +34,7 @@ class Samples(BrdfFormat):
     """The format of values that somebody already has as tensors, see `Measured.from_samples`."""
 
     format = "samples"
+    _anisotropic: bool | None = None
 
     def __init__(
         self,
@@ -57,12 +58,17 @@ class Samples(BrdfFormat):
         self.paths = []
         if anisotropic and not pairs.is_oriented:
             raise ShapeError("Measured: anisotropic: expected pairs of directions, found cosines or angles alone")
-        self.is_anisotropic = _turned(pairs) if anisotropic is None else anisotropic
+        self.is_anisotropic, self._anisotropic = bool(anisotropic), anisotropic
 
     def select(self, materials: list[int]) -> "Samples":
         """Some materials, where all share the pairs."""
         names = [self.names[k] for k in materials]
-        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self.is_anisotropic)
+        return Samples(self.pairs, self.values[materials], self.weight[materials], names, self._anisotropic)
+
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """As they are said to be; else where the light is in more than one plane through the normal."""
+        return _turned(self.pairs) if self._anisotropic is None else self._anisotropic
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -154,8 +160,9 @@ class Measured:
                 weight 0.
             weight: How much each sample counts, which broadcasts to `(M, N, 1)`; by default 1.
             names: Of the M materials.
-            anisotropic: Whether values depend on how the surface is turned, so that lobes with a grain can be fitted;
-                by default where the pairs are directions with the light in more than one plane through the normal.
+            anisotropic: Whether values depend on how the surface is turned. None: values between the samples are taken
+                for those of isotropic materials, and lobes with a grain can be fitted where the pairs are directions
+                with the light in more than one plane through the normal.
 
         Raises:
             ShapeError: The shapes do not fit together, or pairs without directions are said to be of anisotropic
@@ -191,6 +198,11 @@ class Measured:
     def is_anisotropic(self) -> bool:
         """Whether values depend on how the surface is turned about its normal: on the azimuths of both directions."""
         return self.source.is_anisotropic
+
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """Whether lobes with a grain can be fitted: the pairs tell how the surface is turned."""
+        return self.source.may_be_anisotropic
 
     def __len__(self) -> int:
         return len(self.materials)
