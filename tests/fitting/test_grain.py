@@ -58,7 +58,7 @@ def test_every_grain_is_found(name: str, strategy: str) -> None:
     """All parameters, in all channels: the staged procedure, which colours last, within a few per cent."""
     truth, pairs = turned_by(name), scattered()
     measured = Measured.from_samples(pairs, truth(pairs).detach())
-    assert measured.source.may_be_anisotropic
+    assert measured.may_be_anisotropic
     found = fit(make_model(name, 1), measured, CompressedLoss(), strategy=strategy, diffuse="fit")
     own, expected = found.model.components()[1], truth.components()[1]
     apart = (own.rotation - expected.rotation).detach()
@@ -157,6 +157,7 @@ def test_samples_of_one_plane_can_be_said_to_be_anisotropic() -> None:
     pairs = Pairs.from_directions(flat, pairs.wo)
     truth = Sum(Lambert(albedo=0.1), WardAnisotropic(specular=0.4, roughness_x=0.1, roughness_y=0.4, rotation=0.6))
     measured = Measured.from_samples(pairs, truth.double()(pairs).detach()[None], anisotropic=True)
+    assert measured.is_anisotropic and measured.batch([0]).is_anisotropic
     found = fit(make_model("ward_anisotropic", 1), measured, CubeRootLoss(), diffuse="fit")
     assert found.model.components()[1].rotation.item() == pytest.approx(0.6, abs=1e-3)
     angles = Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d)

@@ -32,7 +32,7 @@ def check_grain(model: Lobe, measured: Measured, loss: Loss) -> None:
     if not with_grain:
         return
     lobe = LOBES.name_of(with_grain[0]) or with_grain[0].__name__
-    if not measured.source.may_be_anisotropic:
+    if not measured.may_be_anisotropic:
         raise UsageError(
             f"{lobe}: expected an anisotropic measurement, found {measured.names[0]} ({measured.source.format}), "
             "which does not say how the surface is turned; fit an isotropic lobe"

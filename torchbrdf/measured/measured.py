@@ -201,6 +201,11 @@ class Measured:
         """Whether values depend on how the surface is turned about its normal: on the azimuths of both directions."""
         return self.source.is_anisotropic
 
+    @property
+    def may_be_anisotropic(self) -> bool:
+        """Whether lobes with a grain can be fitted: the pairs tell how the surface is turned."""
+        return self.source.may_be_anisotropic
+
     def __len__(self) -> int:
         return len(self.materials)
 
