@@ -133,10 +133,10 @@ def _read_record(path: Path) -> dict[str, Any]:
     record: dict[str, Any] = read_json(path, dict[str, Any], "the record of a fit of texels")
     found = record.get("settings")
     try:
-        ok = isinstance(found, dict) and all(isinstance(side, int) and side > 0 for side in found["size"])
-        if ok and len(found["size"]) == 2 and isinstance(found["tile"], int) and _model_of(found):
+        if isinstance(found, dict) and len(found["size"]) == 2 and _model_of(found):
+            Tiling((int(found["size"][0]), int(found["size"][1])), found["tile"])
             return found
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, ValueError):
         pass
     raise DataError(f"{path}: expected the record of a fit of texels, found {shown(found)}")
 

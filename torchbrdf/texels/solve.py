@@ -32,7 +32,7 @@ Maps = dict[str, Array]
 """Maps `(h, w, ...)` by name."""
 
 # Of the coarse grid: one texel in so many rows and columns.
-STEP = 16
+STEP = 12
 # Starts of a coarse texel: from the dictionary, or all over the bounds of a model that it does not serve.
 STARTS, QUASI_RANDOM = 3, 12
 # Texels that are solved together: enough that calls do not count, and few enough for the caches.
@@ -43,8 +43,10 @@ FTOL = 1e-5
 # A texel whose error is so many times the median of those around it begins again, as a coarse one, if it is among the
 # worst: at most a share of all.
 SUSPECT, WINDOW, RETRIED = 1.3, 7, 1 / 8
-# Of the range of a shape: a texel that is further from the median of those around it tries that, too.
-FAR = 0.1
+# A texel whose shape is further from a quartile of those around it, in shares of its range, tries that, too.
+QUARTILES, FAR = (0.25, 0.75), 0.1
+# How many more steps than otherwise the last fits in float64 may take.
+LONGER = 2
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ class _TileFit:
             done[coarse] = True
             self._from_neighbours(self.good[~done[self.good]], coarse)
             self._with_shapes_around()
+            self._from_beside()
             self._from_everywhere(self._suspects())
             self._finish()
             if self.fit.smoothness:
@@ -181,29 +184,58 @@ class _TileFit:
     def _suspects(self) -> Tensor:
         """The texels whose errors stand out, the worst first."""
         error = self.error[self.good]
-        ratio = (error / self._medians(error)).nan_to_num(0.0, 0.0, 0.0).numpy()
+        ratio = (error / self._around(error, 0.5)).nan_to_num(0.0, 0.0, 0.0).numpy()
         worst = np.argsort(-ratio, kind="stable")[: int(len(ratio) * RETRIED) + 1]
         return self.good[torch.from_numpy(worst[ratio[worst] > SUSPECT])]
 
     def _with_shapes_around(self) -> None:
-        """From the median of the shapes around, where a texel's own is far from it: noise can look like a highlight."""
+        """From the quartiles of the shapes around, where a texel's own is far from one: noise can look a highlight."""
         lower, upper = self.free.limits()
         shapes = self._shape_numbers
-        x = self.free.encode(take_materials(self.values, self.good))
-        medians = torch.stack([self._medians(x[:, k]) for k in shapes.tolist()], -1) if len(shapes) else x[:, :0]
-        far = ((x[:, shapes] - medians).abs() > FAR * (upper - lower)[shapes]).any(-1).nonzero()[:, 0]
-        x[:, shapes] = medians
-        for own in far.split(BATCH):
-            rows = self.good[own]
-            here = take_materials(self.values, rows)
-            self._keep(rows, *self._solve(self._objective(rows), here | self._decoded(x[own])))
+        for part in QUARTILES if len(shapes) else ():
+            x = self.free.encode(take_materials(self.values, self.good))
+            around = torch.stack([self._around(x[:, k], part) for k in shapes.tolist()], -1)
+            far = ((x[:, shapes] - around).abs() > FAR * (upper - lower)[shapes]).any(-1).nonzero()[:, 0]
+            x[:, shapes] = around
+            for own in far.split(BATCH):
+                rows = self.good[own]
+                here = take_materials(self.values, rows)
+                self._keep(rows, *self._solve(self._objective(rows), here | self._decoded(x[own])))
+
+    def _from_beside(self) -> None:
+        """From the parameters of a texel beside, where these are better than its own: edges are nobody's between."""
+        error = self.error[self.good]
+        rows = self.good[error > SUSPECT * self._around(error, 0.0)]
+        for own in rows.split(BATCH) if len(rows) else ():
+            beside = self._beside(own)
+            x = self.free.encode(take_materials(self.values, beside.flatten())).unflatten(0, beside.shape)
+            here, objective = take_materials(self.values, own), self._objective(own)
+            best = self._best_start(objective, here, x)
+            moved = (best != x[0]).any(-1).nonzero()[:, 0]
+            if len(moved):
+                there = own[moved]
+                start = take_materials(self.values, there) | self._decoded(best[moved])
+                self._keep(there, *self._solve(self._objective(there), start))
+
+    def _beside(self, rows: Tensor) -> Tensor:
+        """Texels `(m,)`, and the eight around each; itself, where there is none or none is fitted, `(9, m)`."""
+        h, w = self.shape
+        fitted = torch.zeros(h * w, dtype=torch.bool, device="cpu")
+        fitted[self.good] = self.error[self.good].isfinite()
+        found = []
+        for down, right in [(0, 0), *((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b)]:
+            row, column = rows // w + down, rows % w + right
+            inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+            there = torch.where(inside, row * w + column, rows)
+            found.append(torch.where(fitted[there], there, rows))
+        return torch.stack(found)
 
     def _finish(self) -> None:
         """In float64 where a fit has not converged: in float32 the end of a flat valley is not seen."""
         rows = self.good[(self.status[self.good] != TexelStatus.CONVERGED) & self.error[self.good].isfinite()]
         for own in rows.split(BATCH) if len(rows) else ():
             here = {name: value.double() for name, value in take_materials(self.values, own).items()}
-            values, found = self._solve(self._objective(own, torch.float64), here)
+            values, found = self._solve(self._objective(own, torch.float64), here, most=LONGER)
             self._keep(own, values, found, 1 + RESOLUTION)
 
     @property
@@ -212,18 +244,16 @@ class _TileFit:
         found = [not (one.spec.linear or one.spec.affine) for one in self.free.free for _ in range(one.width)]
         return torch.tensor(found, dtype=torch.bool, device="cpu").nonzero()[:, 0]
 
-    def _medians(self, values: Tensor) -> Tensor:
-        """The median around each texel that can be fitted, of values of these, `(G,)`."""
+    def _around(self, values: Tensor, part: float) -> Tensor:
+        """Of values of the G texels that can be fitted those that so large a part of the ones around lie below."""
         own = self.good.numpy()
         whole = np.full(self.shape[0] * self.shape[1], np.nan)
         whole[own] = values.numpy()
         wide = np.pad(whole.reshape(self.shape), WINDOW // 2, constant_values=np.nan)
         around = np.lib.stride_tricks.sliding_window_view(wide, (WINDOW, WINDOW))
         rising = np.sort(around.reshape(whole.size, -1)[own], 1)  # NaN comes last
-        count = np.isfinite(rising).sum(1)
-        rows = np.arange(len(rising))
-        low, high = (rising[rows, np.maximum(count + k, 0) // 2] for k in (-1, 0))
-        return torch.from_numpy((low + high) / 2)
+        last = np.maximum(np.isfinite(rising).sum(1) - 1, 0)
+        return torch.from_numpy(rising[np.arange(len(rising)), (last * part + 0.5).astype(int)])
 
     def _smooth(self) -> None:
         """Sweeps in which each texel is pulled to the mean of its neighbours before the sweep."""
@@ -255,10 +285,10 @@ class _TileFit:
         return self.free.decode(x, self.own.problem.target.dtype)
 
     def _solve(
-        self, objective: GaussNewtonObjective, start: ParameterDict, materials: Tensor | None = None
+        self, objective: GaussNewtonObjective, start: ParameterDict, materials: Tensor | None = None, most: int = 1
     ) -> tuple[ParameterDict, Solution]:
         return levenberg_marquardt_fit(
-            objective, start, self.free, max_iterations=self.fit.max_iterations, materials=materials, ftol=FTOL
+            objective, start, self.free, max_iterations=most * self.fit.max_iterations, materials=materials, ftol=FTOL
         )
 
     def _keep(self, rows: Tensor, values: ParameterDict, found: Solution, within: float = 1.0) -> None:

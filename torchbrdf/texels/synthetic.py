@@ -75,7 +75,8 @@ def synthetic_surface(size: int = 512, seed: int = 0) -> SyntheticSurface:
     which = np.argmax(np.stack([_clouds(size, 3, random) for _ in MATERIALS]), 0)
     wear, grain = _clouds(size, 5, random), random.standard_normal((size, size))
     tint = 1 + 0.25 * _clouds(size, 6, random)[..., None] + 0.05 * grain[..., None]
-    albedo, reflectance, roughness, f0 = (np.array(column)[which] for column in zip(*MATERIALS, strict=True))
+    columns: list[Array] = [np.array(column)[which] for column in zip(*MATERIALS, strict=True)]
+    albedo, reflectance, roughness, f0 = columns
     arrays = {
         "albedo": (albedo * tint).clip(0.005, 0.9),
         "roughness": (roughness * np.exp(0.35 * wear + 0.05 * grain)).clip(0.05, 0.8)[..., None],
@@ -84,8 +85,8 @@ def synthetic_surface(size: int = 512, seed: int = 0) -> SyntheticSurface:
     }
     maps = TexelMaps.of_arrays(make_model("ggx", 1), {name: value.astype(np.float32) for name, value in arrays.items()})
     height = 0.04 * size * _clouds(size, 6, random) * 0.12
-    slope = np.stack(np.gradient(height), -1)
-    normals = np.concatenate([-slope[..., 1:], -slope[..., :1], np.ones((size, size, 1))], -1)
+    down, right = np.gradient(height)
+    normals = np.stack([-right, -down, np.ones_like(height)], -1)
     return SyntheticSurface(maps, (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32))
 
 
