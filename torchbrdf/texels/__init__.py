@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from torchbrdf.texels.api import fit_texels
     from torchbrdf.texels.folder import open_texels
     from torchbrdf.texels.maps import TexelMaps
-    from torchbrdf.texels.relight import dome, photograph, relight
+    from torchbrdf.texels.photographs import dome, photograph, relight
     from torchbrdf.texels.status import TexelStatus
     from torchbrdf.texels.synthetic import SyntheticSurface, synthetic_surface
 
@@ -16,9 +16,9 @@ _HOME = {
     "fit_texels": "api",
     "open_texels": "folder",
     "TexelMaps": "maps",
-    "dome": "relight",
-    "photograph": "relight",
-    "relight": "relight",
+    "dome": "photographs",
+    "photograph": "photographs",
+    "relight": "photographs",
     "TexelStatus": "status",
     "SyntheticSurface": "synthetic",
     "synthetic_surface": "synthetic",

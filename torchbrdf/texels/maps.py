@@ -109,17 +109,21 @@ class TexelMaps:
             found.update({one.name: numbers[one] for one in TexelStatus if numbers[one]})
         return dict(found.most_common())
 
-    def models(self) -> Iterator[tuple[Tile, Lobe]]:
-        """The fitted model of each tile, batched, a material for each texel, row after row."""
-        for tile in self.tiling:
-            yield tile, self._model(tile)
+    def region(self, name: str, rows: slice, columns: slice) -> Array:
+        """A part of a map, `(h, w, channels)`."""
+        part = Tile(0, 0, rows, columns)
+        found = np.empty((*part.shape, self.channels(name)), np.uint8 if name == STATUS else np.float32)
+        for tile in self.tiling.meeting(part):
+            both = tile.common(part)
+            inner, outer = both.within(tile), both.within(part)
+            found[outer] = self.tile(name, tile)[inner]
+        return found
 
-    def _model(self, tile: Tile) -> Lobe:
-        count = tile.shape[0] * tile.shape[1]
-        values = {
-            full: torch.from_numpy(self.tile(name, tile).reshape(count, -1).copy())
-            for full, name in map_names(self.model).items()
-        }
+    def model_of(self, rows: slice, columns: slice) -> Lobe:
+        """The fitted model of a part, batched, a material for each texel, row after row."""
+        parts = {full: self.region(name, rows, columns) for full, name in map_names(self.model).items()}
+        values = {full: torch.from_numpy(part.reshape(-1, part.shape[-1])) for full, part in parts.items()}
+        count = len(next(iter(values.values())))
         return with_parameters(self.model.batched(count), values)
 
 

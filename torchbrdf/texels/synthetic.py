@@ -8,11 +8,12 @@ import numpy as np
 from torchbrdf.errors import UsageError
 from torchbrdf.lobes import make_model
 from torchbrdf.texels.maps import TexelMaps
-from torchbrdf.texels.relight import photograph
-from torchbrdf.texels.tiling import Tile
+from torchbrdf.texels.photographs import photograph
 
 Array = np.ndarray
 
+# Texels of a row whose noise is drawn together.
+BLOCK = 64
 # Albedo, colour of the highlight times f0, roughness and f0 of what it is made of; f0 of Schlick's formula.
 MATERIALS = (
     ((0.45, 0.32, 0.20), (0.040, 0.040, 0.040), 0.45, 0.04),  # stone
@@ -34,24 +35,65 @@ class SyntheticSurface:
     maps: TexelMaps
     normals: Array
 
-    def stack(self, lights: Array, noise: float = 0.01, floor: float = 0.001, seed: int = 0,
-              out: Array | None = None) -> Array:  # fmt: skip
-        """What a camera above sees under each light, with noise.
+    def camera(self, lights: Array, noise: float = 0.01, floor: float = 0.001, seed: int = 0) -> "Camera":
+        """A camera above, which sees the surface under each light: the observations of `fit_texels`, made when asked.
 
         Args:
             lights: directions `(n, 3)`.
             noise: standard deviation, in units of the value.
-            floor: what is added to its variance, as a standard deviation.
+            floor: that of what is there without light.
             seed: of the noise.
-            out: where to put it, `(n, H, W, 3)`, such as a memory-mapped file; None: a new array.
 
         Returns:
-            `(n, H, W, 3)`, float32.
+            A function of rows and columns, which gives `(n, h, w, 3)`; each texel has its own noise.
         """
-        found = np.empty((len(lights), *self.maps.size, 3), np.float32) if out is None else out
-        for tile, seen in photograph(self.maps, lights, normals=self.normals):
-            found[:, tile.rows, tile.columns] = seen + _noise(seen, noise, floor, tile, seed)
-        return found
+        return Camera(self, lights, noise, floor, seed)
+
+    def stack(self, lights: Array, noise: float = 0.01, floor: float = 0.001, seed: int = 0) -> Array:
+        """All that such a camera sees, `(n, H, W, 3)`, float32."""
+        return self.camera(lights, noise, floor, seed)(*(slice(0, side) for side in self.maps.size))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera above a made-up surface, see `SyntheticSurface.camera`."""
+
+    surface: SyntheticSurface
+    lights: Array
+    noise: float
+    floor: float
+    seed: int
+
+    def __call__(self, rows: slice, columns: slice) -> Array:
+        """What it sees of a part."""
+        seen = self.without_noise(rows, columns)
+        for k, row in enumerate(range(rows.start, rows.stop)):
+            deviation = np.sqrt((self.noise * seen[:, k]) ** 2 + self.floor**2)
+            seen[:, k] += deviation * self._noise(row, columns)
+        return seen
+
+    def without_noise(self, rows: slice, columns: slice) -> Array:
+        """What is there to see."""
+        own = self.surface
+        return photograph(own.maps, self.lights, rows, columns, normals=own.normals)
+
+    def true_errors(self, rows: slice, columns: slice, max_theta: float = 80.0) -> Array:
+        """The errors of what it sees at the true parameters, as `CosineRMSLoss` has them, `(h, w)`."""
+        normals = self.surface.normals[rows, columns]
+        least = math.cos(math.radians(max_theta))
+        counts = (np.einsum("nj,hwj->nhw", self.lights, normals) > least) & (normals[..., 2] > least)
+        square = ((self(rows, columns) - self.without_noise(rows, columns)) ** 2).mean(-1)
+        return np.sqrt((square * counts).sum(0) / counts.sum(0))
+
+    def _noise(self, row: int, columns: slice) -> Array:
+        """Of part of a row, `(n, w, 3)`: the same, however it is asked for."""
+        first, last = columns.start // BLOCK, -(-columns.stop // BLOCK)
+        shape = (len(self.lights), BLOCK, 3)
+        blocks = [
+            np.random.default_rng([self.seed, row, block]).standard_normal(shape, dtype=np.float32)
+            for block in range(first, last)
+        ]
+        return np.concatenate(blocks, 1)[:, columns.start - first * BLOCK : columns.stop - first * BLOCK]
 
 
 def synthetic_surface(size: int = 512, seed: int = 0) -> SyntheticSurface:
@@ -102,32 +144,3 @@ def _clouds(size: int, octaves: int, random: np.random.Generator) -> Array:
         rows = nodes[low] * (1 - share[:, None]) + nodes[low + 1] * share[:, None]
         total += 0.5**k * (rows[:, low] * (1 - share) + rows[:, low + 1] * share)
     return (total - total.mean()) / max(total.std(), 1e-9)
-
-
-def _noise(seen: Array, noise: float, floor: float, tile: Tile, seed: int) -> Array:
-    """Of each tile its own, so that no order matters."""
-    random = np.random.default_rng([seed, tile.row, tile.column])
-    deviation = np.sqrt((noise * seen) ** 2 + floor**2)
-    return (deviation * random.standard_normal(seen.shape, dtype=np.float32)).astype(np.float32)
-
-
-def true_errors(surface: SyntheticSurface, stack: Array, lights: Array, max_theta: float = 80.0) -> Array:
-    """The errors of a stack at the true parameters, as `CosineRMSLoss` has them, `(H, W)`.
-
-    Args:
-        surface: the surface.
-        stack: with noise, `(n, H, W, 3)`.
-        lights: directions `(n, 3)`.
-        max_theta: as `fit_texels` has it.
-
-    Returns:
-        Root mean squares over lights and channels.
-    """
-    found = np.empty(surface.maps.size)
-    least = math.cos(math.radians(max_theta))
-    for tile, seen in photograph(surface.maps, lights, normals=surface.normals):
-        normals = surface.normals[tile.rows, tile.columns]
-        counts = (np.einsum("nj,hwj->nhw", lights, normals) > least) & (normals[..., 2] > least)
-        square = ((stack[:, tile.rows, tile.columns] - seen) ** 2).mean(-1)
-        found[tile.rows, tile.columns] = np.sqrt((square * counts).sum(0) / counts.sum(0))
-    return found

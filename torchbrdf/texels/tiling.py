@@ -44,6 +44,14 @@ class Tile:
         )
         return Tile(self.row, self.column, rows, columns)
 
+    def common(self, other: "Tile") -> "Tile":
+        """The texels that both have, if they have any."""
+        rows, columns = (
+            slice(max(one.start, two.start), min(one.stop, two.stop))
+            for one, two in ((self.rows, other.rows), (self.columns, other.columns))
+        )
+        return Tile(self.row, self.column, rows, columns)
+
     def within(self, other: "Tile") -> tuple[slice, slice]:
         """Where it lies in a larger one."""
         return (
@@ -67,8 +75,12 @@ class Tiling:
         return -(-self.size[0] // self.side) * -(-self.size[1] // self.side)
 
     def __iter__(self) -> Iterator[Tile]:
-        for row in range(-(-self.size[0] // self.side)):
-            for column in range(-(-self.size[1] // self.side)):
+        yield from self.meeting(Tile(0, 0, slice(0, self.size[0]), slice(0, self.size[1])))
+
+    def meeting(self, part: Tile) -> Iterator[Tile]:
+        """The tiles that have texels of a part."""
+        for row in range(part.rows.start // self.side, -(-part.rows.stop // self.side)):
+            for column in range(part.columns.start // self.side, -(-part.columns.stop // self.side)):
                 parts = (
                     slice(k * self.side, min((k + 1) * self.side, whole))
                     for k, whole in zip((row, column), self.size, strict=True)

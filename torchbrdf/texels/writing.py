@@ -1,6 +1,7 @@
 """Maps as files of other programs: OpenEXR, PNG, zarr."""
 
 import importlib.util
+import io
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from kornia.color import linear_rgb_to_rgb
+from PIL import Image
 
 from torchbrdf.errors import UsageError, shown
 from torchbrdf.files import replacing, write_bytes
-from torchbrdf.images import write_png
+from torchbrdf.images import to_bytes
 from torchbrdf.images.exr import exr_bytes
 from torchbrdf.texels.maps import STATUS, TexelMaps
 from torchbrdf.texels.status import TexelStatus
@@ -34,6 +36,8 @@ COLORS = np.array(
 )
 # The error that is white in its picture: this share of texels have less.
 BRIGHT = 0.99
+# Rows of a map that are made a picture together.
+ROWS = 256
 # Neither changes when nothing does: the oldest date that a zip file knows.
 _DATE = (1980, 1, 1, 0, 0, 0)
 
@@ -77,25 +81,44 @@ def write_maps(maps: TexelMaps, folder: Path | str, formats: Sequence[str] = ("e
             write_bytes(written[-1], exr_bytes(values))
         if "png" in formats:
             written.append(Path(folder) / f"{name}.png")
-            write_png(written[-1], display(values, name))
+            _write_png(written[-1], values, name)
     if "zarr" in formats:
         written.append(Path(folder) / ZARR)
         _write_zarr(maps, written[-1])
     return written
 
 
-def display(values: np.ndarray, name: str) -> torch.Tensor:
-    """A map `(H, W, 1|3)` as display values, `(H, W, 3)`."""
+def display(values: np.ndarray, name: str, brightest: float | None = None) -> torch.Tensor:
+    """A map `(H, W, 1|3)` as display values, `(H, W, 3)`.
+
+    brightest: the error that is white; None: as `BRIGHT` has it.
+    """
     if name == STATUS:
         return torch.from_numpy(COLORS[values[..., 0]]).float() / 255
-    shown_values = torch.from_numpy(values)
+    there = torch.from_numpy(values)
     if values.shape[-1] == 3:
-        encoded = linear_rgb_to_rgb(shown_values.clamp(0, 1).movedim(-1, 0)).movedim(0, -1)
-        return torch.where(shown_values.isnan(), torch.nan, encoded)
+        encoded = linear_rgb_to_rgb(there.clamp(0, 1).movedim(-1, 0)).movedim(0, -1)
+        return torch.where(there.isnan(), torch.nan, encoded)
     if name == "error":
-        finite = values[np.isfinite(values)]
-        shown_values = shown_values / max(float(np.quantile(finite, BRIGHT)) if finite.size else 1.0, 1e-30)
-    return shown_values.expand(-1, -1, 3)
+        there = there / (_brightest(values) if brightest is None else brightest)
+    return there.expand(-1, -1, 3)
+
+
+def _brightest(errors: np.ndarray) -> float:
+    finite = errors[np.isfinite(errors)]
+    return max(float(np.quantile(finite, BRIGHT)) if finite.size else 1.0, 1e-30)
+
+
+def _write_png(path: Path, values: np.ndarray, name: str) -> None:
+    """Some rows after the other, as what is worked out between is many times the map."""
+    pixels = np.empty((*values.shape[:2], 3), np.uint8)
+    brightest = _brightest(values) if name == "error" else None
+    for first in range(0, len(values), ROWS):
+        rows = slice(first, first + ROWS)
+        pixels[rows] = to_bytes(display(values[rows], name, brightest))
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, format="PNG", compress_level=4)
+    write_bytes(path, data.getvalue())
 
 
 def _write_zarr(maps: TexelMaps, path: Path) -> None:

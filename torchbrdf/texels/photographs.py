@@ -1,7 +1,6 @@
 """What surfaces look like under directional lights: the same pairs as fits see, the other way round."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -42,36 +41,36 @@ def dome(count: int, max_theta: float = 70.0) -> Array:
     return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), z], -1).astype(np.float32)
 
 
-def photograph(maps: TexelMaps, lights: Any, views: Any = (0.0, 0.0, 1.0), normals: Any = None,
-               irradiance: float = 1.0) -> Iterator[tuple[Tile, Array]]:  # fmt: skip
-    """What a camera sees of a surface under each of some lights, tile by tile.
+def photograph(maps: TexelMaps, lights: Any, rows: slice, columns: slice, *, views: Any = (0.0, 0.0, 1.0),
+               normals: Any = None, irradiance: float = 1.0) -> Array:  # fmt: skip
+    """What a camera sees of a part of a surface under each of some lights: what `fit_texels` takes.
 
     Args:
         maps: of the surface.
         lights: directions `(n, 3)`, or `(n, H, W, 3)`.
-        views: the same, or `(3,)`.
+        rows: of the part.
+        columns: of the part.
+        views: directions as lights, or `(3,)`.
         normals: `(H, W, 3)`; None: +z.
         irradiance: of a light on a surface that faces it.
 
     Returns:
-        Tiles and what is seen of them, `(n, h, w, 3)`, float32: what `fit_texels` takes. NaN where nothing is known.
+        `(n, h, w, 3)`, float32; NaN where nothing is known.
 
     Example:
         >>> from torchbrdf.texels import dome, photograph, synthetic_surface
         >>> surface = synthetic_surface(16)
-        >>> [part.shape for tile, part in photograph(surface.maps, dome(4), normals=surface.normals)]
-        [(4, 16, 16, 3)]
+        >>> photograph(surface.maps, dome(4), slice(0, 16), slice(0, 8), normals=surface.normals).shape
+        (4, 16, 8, 3)
     """
     count = len(lights)
-    nothing = np.zeros((), np.float32)
-    stack = Stack(np.broadcast_to(nothing, (count, *maps.size, 3)), lights, views, normals, None, None)
-    for tile, model in maps.models():
-        data = stack.read(tile)
-        pairs, faces = pairs_of(data)
-        with torch.no_grad():
-            seen = model(pairs) * (pairs.cos_i.clamp_min(0) * irradiance)[..., None]
-            seen = torch.where(faces[:, None, None], seen, 0)
-        yield tile, np.ascontiguousarray(seen.numpy().reshape(*tile.shape, count, 3).transpose(2, 0, 1, 3))
+    nothing = np.broadcast_to(np.zeros((), np.float32), (count, *maps.size, 3))
+    part = Tile(0, 0, rows, columns)
+    pairs, faces = pairs_of(Stack(nothing, lights, views, normals, None, None).read(part))
+    with torch.no_grad():
+        seen = maps.model_of(rows, columns)(pairs) * (pairs.cos_i.clamp_min(0) * irradiance)[..., None]
+        seen = torch.where(faces[:, None, None], seen, 0)
+    return np.ascontiguousarray(seen.numpy().reshape(*part.shape, count, 3).transpose(2, 0, 1, 3))
 
 
 def relight(maps: TexelMaps, light: Any, view: Any = (0.0, 0.0, 1.0), normals: Any = None,
@@ -95,6 +94,7 @@ def relight(maps: TexelMaps, light: Any, view: Any = (0.0, 0.0, 1.0), normals: A
         (16, 16, 3)
     """
     found = np.empty((*maps.size, 3), np.float32)
-    for tile, part in photograph(maps, [light], view, normals, irradiance):
-        found[tile.rows, tile.columns] = part[0]
+    for tile in maps.tiling:
+        seen = photograph(maps, [light], tile.rows, tile.columns, views=view, normals=normals, irradiance=irradiance)
+        found[tile.rows, tile.columns] = seen[0]
     return found
