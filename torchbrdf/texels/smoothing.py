@@ -1,6 +1,7 @@
 """Fits that are pulled to their neighbours' parameters."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -44,21 +45,39 @@ def smoothed_fit(
     objective: GaussNewtonObjective,
     values: ParameterDict,
     free: Parametrization,
+    starts: Sequence[Tensor],
     mean: Tensor,
     strength: Tensor,
     *,
     max_iterations: int,
     ftol: float,
 ) -> Solution:
-    """Minimise an objective with a pull to `mean`, from `values`; the solution's values are the objective's errors."""
+    """Minimise an objective with a pull to `mean`, from one or more starts `(m, P)`; the best of them.
+
+    values: all parameters. The solution's values are the objective's errors, without the pull.
+    """
     lower, upper = free.limits()
     share = objective.loss.smoothing_widths[-1]
     width = None if share is None else share * objective.target_scale
     bound = objective.bind(free, values, None, width)
     pulled = Pulled(bound, mean, strength, upper - lower)
-    found = minimize_levenberg_marquardt(
-        pulled, free.encode(values), lower, upper, max_iterations=max_iterations, ftol=ftol, fmin=objective.fmin
+    best: Solution | None = None
+    for start in starts:
+        found = minimize_levenberg_marquardt(
+            pulled, start, lower, upper, max_iterations=max_iterations, ftol=ftol, fmin=objective.fmin
+        )
+        best = found if best is None else _better(best, found)
+    assert best is not None
+    value, _ = bound.value_and_gradient(best.x, objective.material_indices)
+    return replace(best, value=objective.loss.finalize(value * objective.zero_prediction_error))
+
+
+def _better(one: Solution, two: Solution) -> Solution:
+    """Of each problem the solution with the lower value."""
+    second = two.value < one.value
+    return Solution(
+        torch.where(second[:, None], two.x, one.x),
+        torch.where(second, two.value, one.value),
+        [b if pick else a for a, b, pick in zip(one.status, two.status, second.tolist(), strict=True)],
+        one.iterations + two.iterations,
     )
-    value, _ = bound.value_and_gradient(found.x, objective.material_indices)
-    error = objective.loss.finalize(value * objective.zero_prediction_error)
-    return Solution(found.x, error, found.status, found.iterations)

@@ -256,26 +256,32 @@ class _TileFit:
         return torch.from_numpy(rising[np.arange(len(rising)), (last * part + 0.5).astype(int)])
 
     def _smooth(self) -> None:
-        """Sweeps in which each texel is pulled to the mean of its neighbours before the sweep."""
-        for _ in range(self.fit.sweeps):
+        """Sweeps in which each texel is pulled to the mean of its neighbours before the sweep.
+
+        In the first it also begins with their shapes: what noise made of its own is not near.
+        """
+        shapes = self._shape_numbers
+        for sweep in range(self.fit.sweeps):
             x = torch.full((len(self.error), self._numbers), torch.nan, dtype=torch.float64, device="cpu")
             x[self.good] = self.free.encode(take_materials(self.values, self.good))
             mean, count = neighbours(x.unflatten(0, self.shape))
-            new, error, status = [], [], []
-            for own in self.good.split(BATCH):
-                here = take_materials(self.values, own)
-                found = smoothed_fit(
-                    self._objective(own), here, self.free, mean[own], count[own] * self.fit.smoothness,
-                    max_iterations=self.fit.max_iterations, ftol=FTOL,
-                )  # fmt: skip
-                new.append(found.x)
-                error.append(found.value)
-                status += found.status
-            values = self._decoded(torch.cat(new))
-            for name, value in values.items():
+            found = [
+                smoothed_fit(
+                    self._objective(own),
+                    take_materials(self.values, own),
+                    self.free,
+                    [x[own], with_columns(x[own], mean[own], shapes)] if sweep == 0 else [x[own]],
+                    mean[own],
+                    count[own] * self.fit.smoothness,
+                    max_iterations=self.fit.max_iterations,
+                    ftol=FTOL,
+                )
+                for own in self.good.split(BATCH)
+            ]
+            for name, value in self._decoded(torch.cat([one.x for one in found])).items():
                 self.values[name][self.good] = value.flatten(1)
-            self.error[self.good] = torch.cat(error)
-            self.status[self.good] = _codes(status)
+            self.error[self.good] = torch.cat([one.value for one in found])
+            self.status[self.good] = _codes([status for one in found for status in one.status])
 
     @property
     def _numbers(self) -> int:
@@ -357,6 +363,13 @@ def neighbours(x: Tensor) -> tuple[Tensor, Tensor]:
     beside = torch.stack([wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]])
     count = beside[..., 0].isfinite().sum(0).double()
     return beside.nanmean(0).nan_to_num().flatten(0, 1), count.flatten()
+
+
+def with_columns(x: Tensor, other: Tensor, columns: Tensor) -> Tensor:
+    """`(m, P)` with some columns of another."""
+    found = x.clone()
+    found[:, columns] = other[:, columns]
+    return found
 
 
 def _places(rows: Tensor, shape: tuple[int, int]) -> Tensor:
