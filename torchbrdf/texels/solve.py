@@ -40,9 +40,9 @@ BATCH = 1024
 # Coarse texels that give each other one its start.
 NEAREST = 3
 FTOL = 1e-5
-# A texel whose error is so many times the median of those around it begins again, as a coarse one, if it is among the
-# worst: at most a share of all.
-SUSPECT, WINDOW, RETRIED = 1.3, 7, 1 / 8
+# A texel whose error is so many times what most of those around it have begins again, as a coarse one, if it is among
+# the worst: at most a share of all.
+SUSPECT, WINDOW, MOST, RETRIED = 1.3, 7, 0.9, 1 / 8
 # A texel whose shape is further from a quartile of those around it, in shares of its range, tries that, too.
 QUARTILES, FAR = (0.25, 0.75), 0.1
 # How many more steps than otherwise the last fits in float64 may take.
@@ -182,9 +182,9 @@ class _TileFit:
         return starts[best, rows[:problems]]
 
     def _suspects(self) -> Tensor:
-        """The texels whose errors stand out, the worst first."""
+        """The texels whose errors stand out from nearly all around them, the worst first."""
         error = self.error[self.good]
-        ratio = (error / self._around(error, 0.5)).nan_to_num(0.0, 0.0, 0.0).numpy()
+        ratio = (error / self._around(error, MOST)).nan_to_num(0.0, 0.0, 0.0).numpy()
         worst = np.argsort(-ratio, kind="stable")[: int(len(ratio) * RETRIED) + 1]
         return self.good[torch.from_numpy(worst[ratio[worst] > SUSPECT])]
 
