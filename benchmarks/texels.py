@@ -5,7 +5,7 @@
 A made-up surface (`synthetic_surface`) with noise of 1 %, one GGX lobe and diffuse. CPU seconds are of this process and
 its workers, without those of making photographs; processes are counted until they end. With --large: the peak memory of
 this process and its workers while a surface of so many texels a side is fitted for its first tiles, and while maps of
-so many are written, from tiles that are copies.
+so many are written, all of whose tiles are the same.
 """
 
 import argparse
@@ -19,8 +19,10 @@ import numpy as np
 import psutil
 import torch
 
-from torchbrdf.texels import api, dome, fit_texels, synthetic_surface
-from torchbrdf.texels.folder import TexelFolder
+from torchbrdf.lobes import make_model
+from torchbrdf.texels import TexelMaps, api, dome, fit_texels, synthetic_surface
+from torchbrdf.texels.tiling import Tiling
+from torchbrdf.texels.writing import write_maps
 
 
 def cpu_seconds() -> float:
@@ -85,7 +87,7 @@ def fitted(size: int, lights: np.ndarray, **options: object) -> None:
         f"CPU s {used:.1f}, wall s {wall:.1f}: {1e6 * used / count:.0f} us a texel, 2 cores: {2 * count / used:.0f}/s"
     )
     print(f"within 1.01 of the truth's error: {100 * (ratio <= 1.01).mean():.3f} %, the largest {np.nanmax(ratio):.3f}")
-    print(f"status {maps.counts()}; peak {peak.bytes / 2**30:.2f} GiB")
+    print(f"status {maps.counts()}; peak {peak.bytes / 2**30:.2f} GiB", flush=True)
 
 
 class EnoughError(Exception):
@@ -114,29 +116,19 @@ def large(side: int, lights: np.ndarray) -> None:
         normals = np.load(path, mmap_mode="r")
         with Peak() as peak, contextlib.suppress(EnoughError):
             fit_texels(repeated, lights, normals=normals, size=(side, side), out=f"{folder}/out", progress=stop)
-        print(f"{side} x {side}, {len(lights)} lights: fitting, peak {peak.bytes / 2**30:.2f} GiB with workers")
-        copied(Path(folder) / "out", side)
+        print(
+            f"{side} x {side}, {len(lights)} lights: fitting, peak {peak.bytes / 2**30:.2f} GiB with workers",
+            flush=True,
+        )
+        first = next(one for one in (Path(folder) / "out" / "tiles").iterdir())
+        with np.load(first) as found:
+            tile = {name: found[name] for name in found.files}
+        maps = TexelMaps(make_model("ggx", 1), Tiling((side, side), 64), lambda _: tile)
         with Peak() as peak:
             began = time.process_time()
-            fit_texels(repeated, lights, normals=normals, size=(side, side), out=f"{folder}/out")
+            write_maps(maps, Path(folder) / "maps")
             taken = time.process_time() - began
-        print(
-            f"reading all tiles, writing EXR and PNG: peak {peak.bytes / 2**30:.2f} GiB with workers, {taken:.0f} CPU s"
-        )
-
-
-def copied(out: Path, side: int) -> None:
-    """Tiles that are not there as copies of the first."""
-    from torchbrdf.texels.folder import _read_record
-    from torchbrdf.texels.tiling import Tiling
-
-    folder = TexelFolder(out, _read_record(out / "texels.json"))
-    tiling = Tiling((side, side), 64)
-    first = folder.read(next(iter(tiling)))
-    assert first is not None
-    for tile in tiling:
-        if not folder.file(tile).exists():
-            folder.write(tile, first)
+        print(f"writing EXR and PNG: peak {peak.bytes / 2**30:.2f} GiB with workers, {taken:.0f} CPU s", flush=True)
 
 
 if __name__ == "__main__":
