@@ -1,6 +1,6 @@
 """Kill commands at random times, and see that what they leave is taken up and ends as if nothing had been.
 
-    python benchmarks/kills.py [fit run train render match] [--kills 30] [--seed 0]
+    python benchmarks/kills.py [fit run train render match texels] [--kills 30] [--seed 0]
 
 Each kill: the command runs in a new folder and gets SIGKILL, SIGTERM or SIGHUP at a random moment, or one of its worker
 processes gets SIGKILL; no process of it may be left after three seconds. Then the same command runs to its end. Every
@@ -35,6 +35,7 @@ WORK = {
     "train": ["run", "train_metric", "quick=true"],
     "render": ["render", str(STANDINS), "--size", "48"],
     "match": ["match", "zoo:nickel", "--for", "brdf", "--budget", "quick"],
+    "texels": ["run", "texels", "quick=true"],
 }
 ENDS = {"SIGKILL": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "a worker": None}
 # Seconds that processes have to be gone after a signal: two, and some for a busy machine to look.

@@ -47,10 +47,11 @@ def read_exr(path: Path, data: bytes) -> np.ndarray:
 
 
 def exr_bytes(pixels: np.ndarray) -> bytes:
-    """An OpenEXR file of pixels `(H, W, 3)`, half or float."""
+    """An OpenEXR file of pixels `(H, W, 3)`, half or float; with a channel Y of `(H, W, 1)`."""
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     data = io.BytesIO()
-    OpenEXR.File(header, {"RGB": pixels}).write(data)
+    channels = {"RGB": pixels} if pixels.shape[-1] == 3 else {"Y": np.ascontiguousarray(pixels[..., 0])}
+    OpenEXR.File(header, channels).write(data)
     return data.getvalue()
 
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from torchbrdf.report.images_page import write_images_report
     from torchbrdf.report.metric_page import write_metric_report
     from torchbrdf.report.published_page import write_published_report
+    from torchbrdf.report.texels_page import write_texels_report
 
 _HOME = {
     "write_grid_report": "grid_page",
@@ -18,6 +19,7 @@ _HOME = {
     "write_images_report": "images_page",
     "write_metric_report": "metric_page",
     "write_published_report": "published_page",
+    "write_texels_report": "texels_page",
 }
 __all__ = [
     "HumanPage",
@@ -26,6 +28,7 @@ __all__ = [
     "write_images_report",
     "write_metric_report",
     "write_published_report",
+    "write_texels_report",
 ]
 
 __getattr__, __dir__ = exports(__name__, _HOME)
