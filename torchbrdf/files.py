@@ -253,15 +253,20 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 def write_json(path: Path | str, value: object) -> None:
     """Write a value as indented JSON, whole or not at all; a number that is not finite is null."""
-    write_text(path, json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
+    write_text(path, json_text(value))
 
 
-def _finite(value: Any) -> Any:
-    """A value with None for every number in it that is not finite."""
+def json_text(value: object) -> str:
+    """What `write_json` writes."""
+    return json.dumps(finite(value), indent=1, allow_nan=False) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """A value with None for every number in it that is not finite, which JSON has no word for."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

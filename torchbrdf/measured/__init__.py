@@ -17,6 +17,7 @@ from torchbrdf.measured.plausibility import Plausibility, check, directional_alb
 from torchbrdf.measured.rgl import Rgl
 from torchbrdf.measured.rgl_table import write_rgl
 from torchbrdf.measured.standin import StandIn, standins
+from torchbrdf.measured.unopened import Unopened, load_later
 from torchbrdf.measured.zemax import Zemax
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "Rgl",
     "Samples",
     "StandIn",
+    "Unopened",
     "Zemax",
     "check",
     "contrast_gloss",
@@ -46,6 +48,7 @@ __all__ = [
     "is_merl",
     "load",
     "load_all",
+    "load_later",
     "merl_name",
     "merl_values",
     "standins",

@@ -58,6 +58,7 @@ class BrdfFormat(ABC):
         is_reciprocal: Whether values are the same where light and viewer change places, by how they are stored or
             interpolated; by default where `at` is the one here.
         settings: What a reader can be told that a file does not say, and the values of each, the default first.
+        one_a_file: Whether each file has one material, whose name `name_of` gives.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it has a better way than between scattered samples.
     """
@@ -71,6 +72,7 @@ class BrdfFormat(ABC):
     on_merl_bins: ClassVar[bool] = False
     is_reciprocal: ClassVar[bool] = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    one_a_file: ClassVar[bool] = True
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Values between scattered samples are reciprocal, and those of a way of its own need not be."""
@@ -91,6 +93,11 @@ class BrdfFormat(ABC):
         Raises:
             DataError: Names the first file that is bad.
         """
+
+    @classmethod
+    def name_of(cls, path: Path) -> str:
+        """The name that a file gives its material, without opening it."""
+        return path.stem
 
     @abstractmethod
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.lobes.parts import MANIFEST, fit_folder
 from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.measured.format import FORMATS, BrdfFormat
 from torchbrdf.measured.measured import Measured
@@ -58,13 +59,13 @@ def load(
         torch.Size([1, 5, 3])
     """
     files = find_files(paths)
-    groups = _by_format(files)
+    groups = by_format(files)
     if len(groups) > 1:
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
     ((name, members),) = groups.items()
     check_settings([name], settings)
-    return _open(name, members, dtype, device, settings)
+    return open_files(name, members, dtype, device, settings)
 
 
 def load_all(
@@ -95,11 +96,10 @@ def load_all(
         >>> [measured.source.format for measured in load_all([standins()])]
         ['fits']
     """
-    groups = _by_format(find_files(paths, bad), bad)
+    groups = by_format(find_files(paths, bad), bad)
     check_settings(groups, settings)
-    if bad is not None:
-        groups = {name: good for name, members in groups.items() if (good := _good(name, members, bad, settings))}
-    return [_open(name, members, dtype, device, settings) for name, members in groups.items()]
+    found = [open_good(name, members, bad, dtype, device, settings) for name, members in groups.items()]
+    return [one for one in found if one is not None]
 
 
 def format_of(path: Path) -> str | None:
@@ -138,16 +138,23 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
         return False
 
 
-def _open(
+def open_files(
     name: str,
     paths: Sequence[Path],
     dtype: torch.dtype | None,
     device: torch.device | str | None,
     settings: Mapping[str, str] | None,
+    names: Sequence[str] | None = None,
 ) -> Measured:
+    """What was measured, of files of one format; names: of the materials, where each file has one."""
     source = _opened(name, paths, settings)
     # A name becomes a file's name and a line on pages: one that a file's stem gives may be anything.
-    source.names = _unique([clean_name(one) for one in source.names], source.paths)
+    if names is None:
+        names = unique_names([clean_name(one) for one in source.names], source.paths)
+    elif len(source.names) != len(names):
+        found = f"{len(source.names)} of {len(names)} files"
+        raise DataError(f"{paths[0]}: expected a material a file (one_a_file of the format {name}), found {found}")
+    source.names = list(names)
     return Measured(source, dtype=dtype, device=device)
 
 
@@ -182,7 +189,7 @@ def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> 
             raise unknown(key, value, known[key])
 
 
-def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+def unique_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """Names that are names, with the folder in front where they are not unique, and a number behind if need be."""
     count = Counter(names)
     own = [
@@ -205,19 +212,40 @@ def number_repeats(names: Sequence[str], mark: str) -> list[str]:
     return list(made)
 
 
-def _good(name: str, paths: Sequence[Path], bad: list[DataError], settings: Mapping[str, str] | None) -> list[Path]:
-    good = []
-    for path in paths:
+def open_good(
+    name: str,
+    paths: Sequence[Path],
+    bad: list[DataError] | None,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+    settings: Mapping[str, str] | None = None,
+    names: Sequence[str] | None = None,
+) -> Measured | None:
+    """As `open_files`, of those that can be opened; None if there are none.
+
+    bad: takes the errors of the others; None raises the first.
+    """
+    try:
+        return open_files(name, paths, dtype, device, settings, names)
+    except DataError:
+        if bad is None:
+            raise
+    good: list[int] = []
+    for row, path in enumerate(paths):
         try:
             _opened(name, [path], settings)
         except DataError as error:
             bad.append(error)
         else:
-            good.append(path)
-    return good
+            good.append(row)
+    if not good:
+        return None
+    own = None if names is None else [names[row] for row in good]
+    return open_files(name, [paths[row] for row in good], dtype, device, settings, own)
 
 
-def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+def by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+    """Files by their formats; bad: takes the errors of those of none."""
     groups: dict[str, list[Path]] = {}
     for path in paths:
         try:
@@ -278,6 +306,8 @@ def _file(path: Path) -> Path:
 
 
 def _folder(path: Path) -> list[Path]:
+    if fit_folder(path) is not None:
+        return [path / MANIFEST]
     try:
         inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     except OSError as error:

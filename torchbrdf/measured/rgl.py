@@ -126,10 +126,15 @@ class Rgl(BrdfFormat):
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)
-        self.names = [path.stem.removesuffix("_rgb") for path in paths]
+        self.names = [self.name_of(path) for path in paths]
         self._files = [RglFile(path) for path in paths]
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
+
+    @classmethod
+    def name_of(cls, path: Path) -> str:
+        """Without what tells a file of RGB from the spectral one."""
+        return path.stem.removesuffix("_rgb")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as the paths of its files."""

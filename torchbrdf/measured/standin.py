@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
+from torchbrdf.lobes.parts import MANIFEST, fit_folder
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.merl import bin_centers
@@ -43,6 +44,7 @@ class StandIn(BrdfFormat):
     format = "fits"
     stand_in = True
     on_merl_bins = True
+    one_a_file = False
 
     def __init__(self, records: list[FitRecord], paths: Sequence[Path]) -> None:
         self.records = records
@@ -54,14 +56,20 @@ class StandIn(BrdfFormat):
         self.pairs = bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
+    def select(self, materials: list[int]) -> "StandIn":
+        """Some materials, with the names that they have here."""
+        some = StandIn([self.records[k] for k in materials], [self.paths[k] for k in materials])
+        some.names = [self.names[k] for k in materials]
+        return some
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as its records."""
-        return StandIn, (self.records, self.paths)
+        """Pickled as its records and names."""
+        return _named, (self.records, self.paths, list(self.names))
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether it is a `fits.json`, by the bracket of a list of objects."""
-        return b"".join(head.split()).startswith(b"[{")
+        """Whether it is a `fits.json`, by the bracket of a list of objects; or the manifest of a folder of fits."""
+        return b"".join(head.split()).startswith(b"[{") or (path.name == MANIFEST and fit_folder(path) is not None)
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> "StandIn":
@@ -127,6 +135,12 @@ def standins() -> Path:
         'standins.json'
     """
     return Path(str(importlib.resources.files("torchbrdf.assets") / "standins.json"))
+
+
+def _named(records: list[FitRecord], paths: list[Path], names: list[str]) -> StandIn:
+    found = StandIn(records, paths)
+    found.names = names
+    return found
 
 
 def _full_name(record: FitRecord) -> str:
