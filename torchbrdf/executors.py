@@ -133,9 +133,10 @@ class _Guests:
                 own["workers"] = [one for one in self.addresses if one not in self.unfit]
                 if not own["workers"]:
                     raise DataError(f"{self._name}: expected workers with this torchbrdf, found none")
-        settings = workers.settings(torch.get_num_threads())
+        work = packed((key, call, data, workers.settings(torch.get_num_threads())), 2 * LARGEST_ITEM)
         try:
-            return self.executor.submit(_guest, _versions(), key, call, data, settings, **own)
+            done_by = _in_any_process if self.client is None else _guest
+            return self.executor.submit(done_by, _versions(), work, **own)
         except (RuntimeError, OSError) as error:  # shut down; dead; a client that was closed
             raise self._gone(error) from error
 
@@ -188,20 +189,23 @@ def _versions() -> tuple[str, str]:
     return __version__, torch.__version__
 
 
-def _in_any_process(versions: tuple[str, str], *work: Any) -> Any:
+def _in_any_process(versions: tuple[str, str], work: bytes) -> Any:
     """An item where torchbrdf may be missing: who it is and why not, if it cannot be done."""
+    import pickle
+
     try:
         import torch
 
         import torchbrdf
-        from torchbrdf import workers
-    except ImportError as error:
-        found = f"found {error}"
-    else:
+
         there = (torchbrdf.__version__, torch.__version__)
         if there == versions:
-            return workers.work(*work)
+            from torchbrdf import workers
+
+            return workers.work(*pickle.loads(work))
         found = "found torchbrdf {} and torch {}".format(*there)
+    except ImportError as error:
+        found = f"found {error}"
     try:
         from distributed import get_worker
 
@@ -211,7 +215,7 @@ def _in_any_process(versions: tuple[str, str], *work: Any) -> Any:
     return address, "expected torchbrdf {} and torch {}, ".format(*versions) + found
 
 
-# Pickled by value, as the functions of a script are: a worker without torchbrdf can say so.
+# Dask pickles it by value, as the functions of a script: a worker without torchbrdf can say so.
 _guest = types.FunctionType(_in_any_process.__code__, {"__builtins__": builtins, "__name__": "__main__"}, "_guest")
 _guest.__module__ = "__main__"
 

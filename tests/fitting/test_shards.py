@@ -5,7 +5,7 @@ import shutil
 import threading
 
 import pytest
-from helpers.tiny_materials import write_tiny
+from helpers.tiny_materials import timeless, write_tiny
 
 from torchbrdf.errors import DataError
 from torchbrdf.fitting import Batches, tables
@@ -36,22 +36,6 @@ def out(whole, tmp_path):
 
 def batches(folder, **settings):
     return Batches(make_model("ward", 1), RMSLoss(), out=folder, samples=None, diffuse="fit", **settings)
-
-
-def timeless(folder):
-    """What a folder has, by name, without seconds."""
-    found = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
-    for name, text in found.items():
-        if name.endswith((".jsonl", ".json")):
-            lines = [json.loads(line) for line in (text.splitlines() if name.endswith("l") else [text])]
-            found[name] = [_timeless(line) for line in lines]
-    return {name: text for name, text in found.items() if name != "fits.csv"}
-
-
-def _timeless(value):
-    if isinstance(value, dict):
-        return {key: _timeless(item) for key, item in value.items() if key not in ("seconds", "sha256")}
-    return [_timeless(item) for item in value] if isinstance(value, list) else value
 
 
 def test_each_block_is_a_part_with_a_head_and_a_record_a_line(whole, files):

@@ -1,5 +1,6 @@
 """Many small materials as files: a few pairs each, made by a model with some noise."""
 
+import json
 import math
 
 import numpy as np
@@ -43,3 +44,19 @@ def write_tiny(folder, count, pairs=200, seed=0):
         paths.append(folder / f"m{k:06d}.npz")
         np.savez(paths[-1], **columns)
     return paths
+
+
+def timeless(folder):
+    """What a folder has, by name, without seconds."""
+    found = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    for name, text in found.items():
+        if name.endswith((".jsonl", ".json")):
+            lines = [json.loads(line) for line in (text.splitlines() if name.endswith("l") else [text])]
+            found[name] = [_timeless(line) for line in lines]
+    return {name: text for name, text in found.items() if name != "fits.csv"}
+
+
+def _timeless(value):
+    if isinstance(value, dict):
+        return {key: _timeless(item) for key, item in value.items() if key not in ("seconds", "sha256")}
+    return [_timeless(item) for item in value] if isinstance(value, list) else value

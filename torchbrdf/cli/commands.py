@@ -7,7 +7,7 @@ import warnings
 from contextlib import nullcontext
 
 from torchbrdf import __version__, memory
-from torchbrdf.cli import check, export, fit, info, match, render, run, score, study, view
+from torchbrdf.cli import check, collect, export, fit, info, match, render, run, score, study, view
 from torchbrdf.cli.common import Options, Parser, described
 from torchbrdf.cli.progress import reporting
 from torchbrdf.cli.signals import GRACE, ending
@@ -20,6 +20,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf run fores2012                       the study of Fores, Ferwerda and Gu (2012), to a report
   torchbrdf match nickel.binary --for mitsuba    the simplest material that looks like it
   torchbrdf fit nickel.binary --model ward      one fit, printed
+  torchbrdf collect fits-1/ fits-2/ --out fits/ the shares of a fit that several machines made
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
   torchbrdf export fits.json --to mitsuba       materials of other programs
@@ -30,7 +31,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
 """
 
-COMMANDS = (run, match, fit, render, view, export, info, check, score, study)
+COMMANDS = (run, match, fit, collect, render, view, export, info, check, score, study)
 
 
 def build_parser() -> Parser:

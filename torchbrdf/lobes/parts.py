@@ -225,8 +225,25 @@ class FitFolder:
                 with suppress(OSError):  # it has something else
                     (self.path / PARTS).rmdir()
 
-    def check_settings(self, manifest: Manifest, settings: Mapping[str, Any]) -> None:
+    def put(self, manifest: Manifest, parts: Mapping[int, bytes]) -> None:
+        """Write a manifest, and parts as they are.
+
+        Args:
+            manifest: Of all that the folder has then.
+            parts: By their numbers.
+        """
+        with self.locked():
+            for part, data in parts.items():
+                write_bytes(self.part_path(part), data)
+            self._write(manifest)
+
+    def check_settings(self, manifest: Manifest, settings: Mapping[str, Any], whose: str = "") -> None:
         """Refuse to add fits with other settings.
+
+        Args:
+            manifest: What there is.
+            settings: Of the fits that are to be added.
+            whose: What to call them in an error.
 
         Raises:
             DataError: They are others, and which.
@@ -234,10 +251,9 @@ class FitFolder:
         for key in {**manifest.settings, **settings}:
             had, wanted = (one.get(key) for one in (manifest.settings, settings))
             if had != wanted:
-                raise DataError(
-                    f"{self.manifest_path}: its fits were made with {key} {shown(had)}, not {shown(wanted)}; "
-                    "give another folder"
-                )
+                rest = f" as {whose}" if whose else "; give another folder"
+                made = f"{self.manifest_path}: its fits were made with {key} {shown(had)}"
+                raise DataError(f"{made}, not {shown(wanted)}{rest}")
 
     def locked(self) -> Any:
         """Hold the folder, for as long as it takes to write a file."""
