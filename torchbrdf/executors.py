@@ -114,13 +114,13 @@ class _Guests:
     @property
     def addresses(self) -> list[str]:
         """Of Dask's workers now: some may be gone, others have come."""
-        return [] if self.client is None else list(self.client.scheduler_info(n_workers=-1)["workers"])
+        return [] if self.client is None else list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
 
     @property
     def count(self) -> int:
         """How many can work at once."""
         if self.client is not None:
-            there = self.client.scheduler_info(n_workers=-1)["workers"]
+            there = self.client.scheduler_info(n_workers=-1).get("workers", {})
             return max(sum(one["nthreads"] for name, one in there.items() if name not in self.unfit), 1)
         return int(getattr(self.executor, "_max_workers", 0)) or torch.get_num_threads()
 
@@ -262,7 +262,7 @@ def executor_of(name: str | None, scheduler: str | None = None) -> Iterator[Plac
 def _dask(scheduler: str | None) -> Iterator[Executor]:
     from distributed import Client, LocalCluster
 
-    for part in ("distributed", "tornado", "asyncio"):  # which print pages about every worker that is gone
+    for part in ("distributed", "distributed.client", "tornado", "asyncio"):  # which print pages about who is gone
         logging.getLogger(part).setLevel(logging.CRITICAL)
     cluster = client = None
     try:
