@@ -10,7 +10,10 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "kills.py"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("work", "kills"), [("fit", 2), ("run", 1), ("train", 1), ("render", 2), ("match", 1)])
+@pytest.mark.parametrize(
+    ("work", "kills"),
+    [("fit", 2), ("share", 1), ("collect", 1), ("run", 1), ("train", 1), ("render", 2), ("match", 1)],
+)
 def test_a_killed_command_is_taken_up_and_leaves_nothing(work, kills):
     done = subprocess.run(
         [sys.executable, SCRIPT, work, "--kills", str(kills)], capture_output=True, text=True, timeout=1800, check=False

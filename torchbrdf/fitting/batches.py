@@ -141,16 +141,22 @@ class Batches:
         found |= {record.material: record for record in self.stored(set(self.earlier))}
         return [found[name] for name in names if name in found]
 
-    def stored(self, names: set[str]) -> list[FitRecord]:
+    @property
+    def done(self) -> dict[str, FitRecord]:
+        """The fits of the folder that need not be made again, by material."""
+        records = self.stored() or self._old
+        return {record.material: record for record in records if record.status != Status.LOST}
+
+    def stored(self, names: set[str] | None = None) -> list[FitRecord]:
         """The records of some materials that the folder has.
 
         Args:
-            names: Of the materials.
+            names: Of the materials; None: all.
         """
-        if self.folder is None or not names:
+        if self.folder is None or not self.folder.manifest_path.exists():
             return []
-        every = self.folder.every()
-        return [FitRecord.from_json(line, where) for where, line in every if line["material"] in names]
+        every = self.folder.every() if names is None or names else []
+        return [FitRecord.from_json(line, where) for where, line in every if names is None or line["material"] in names]
 
     def write_tables(self, *, parquet: bool = False) -> None:
         """Write the tables of all that the folder has.

@@ -47,7 +47,8 @@ def readers() -> dict[str, Reader]:
 
 # Without the imports that readers need, so that asking for names is quick.
 NAMES = (
-    *("merl", "rgl", "astm", "bird", "columns", "cornell", "fred", "zemax", "fits", "standins", "continued", "metric"),
+    *("merl", "rgl", "astm", "bird", "columns", "cornell", "fred", "zemax", "fits", "standins", "continued"),
+    *("manifest", "parts", "metric"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
     *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
