@@ -12,7 +12,7 @@ from helpers.tiny_materials import write_tiny
 
 from torchbrdf import fit
 from torchbrdf.errors import DataError, UsageError
-from torchbrdf.executors import check_place, executor_of, side_by_side
+from torchbrdf.executors import executor_of, side_by_side
 from torchbrdf.fitting import Batches
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import RMSLoss
@@ -93,23 +93,10 @@ def test_an_executor_whose_processes_die_is_said():
         list(side_by_side(lambda k: os.kill(os.getpid(), signal.SIGKILL), [1], executor))
 
 
-@pytest.mark.parametrize(
-    ("name", "scheduler", "said"),
-    [
-        ("sparks", None, "--executor: expected one of processes, threads, dask, found 'sparks'"),
-        (None, "tcp://x:1", "--scheduler: expected --executor dask with it, found none"),
-        ("threads", "tcp://x:1", "--scheduler: expected --executor dask with it, found threads"),
-    ],
-)
-def test_options_that_are_none_are_refused(name, scheduler, said):
-    with pytest.raises(UsageError, match=said):
-        check_place(name, scheduler)
-
-
 def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"--executor dask: expected the extra: pip install 'torchbrdf\[dask\]'"):
-        check_place("dask")
+    with pytest.raises(UsageError, match=r"expected the extra: pip install 'torchbrdf\[dask\]'"), executor_of("dask"):
+        pass
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://no.such.host.invalid:8786"])

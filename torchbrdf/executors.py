@@ -24,7 +24,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Place = Executor | Literal["threads", "processes"] | None
 """Where work is done; None: in threads, and from 15 CPU seconds on in processes."""
-NAMES = ("processes", "threads", "dask")
 # Items of each worker that are on their way, so that none waits for the next one.
 AHEAD = 3
 # Seconds between two looks at who is there to work, and until a scheduler has to have answered.
@@ -220,38 +219,21 @@ _guest = types.FunctionType(_in_any_process.__code__, {"__builtins__": builtins,
 _guest.__module__ = "__main__"
 
 
-def check_place(name: str | None, scheduler: str | None = None) -> None:
-    """Refuse what `executor_of` would, before there is any work.
-
-    Args:
-        name: As of `executor_of`.
-        scheduler: As of `executor_of`.
-
-    Raises:
-        UsageError: There is no such executor, or it needs an extra that is not installed.
-    """
-    if name not in (None, *NAMES):
-        raise UsageError(f"--executor: expected one of {', '.join(NAMES)}, found {shown(name)}")
-    if scheduler is not None and name != "dask":
-        raise UsageError(f"--scheduler: expected --executor dask with it, found {name or 'none'}")
-    if name == "dask" and importlib.util.find_spec("distributed") is None:
-        raise UsageError("--executor dask: expected the extra: pip install 'torchbrdf[dask]'")
-
-
 @contextmanager
 def executor_of(name: str | None, scheduler: str | None = None) -> Iterator[Place]:
     """What a command's options `--executor` and `--scheduler` name.
 
     Args:
-        name: One of `NAMES`; None: the default.
+        name: One of `torchbrdf.kinds.EXECUTORS`; None: the default.
         scheduler: Of Dask, such as `tcp://login:8786`; by default a cluster of processes on this machine.
 
     Raises:
-        UsageError: There is no such executor, or it needs an extra that is not installed.
+        UsageError: It needs an extra that is not installed.
         DataError: No scheduler answers.
     """
-    check_place(name, scheduler)
     if name == "dask":
+        if importlib.util.find_spec("distributed") is None:
+            raise UsageError("--executor dask: expected the extra: pip install 'torchbrdf[dask]'")
         with _dask(scheduler) as executor:
             yield executor
         return

@@ -6,10 +6,10 @@ import shutil
 import pytest
 from helpers.tiny_materials import timeless, write_tiny
 
+from torchbrdf import bounds
 from torchbrdf.cli import main
 from torchbrdf.errors import DataError, UsageError
 from torchbrdf.fitting import Batches, collect
-from torchbrdf.fitting.batches import check_shard
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.losses import RMSLoss
 from torchbrdf.measured import load_later
@@ -142,7 +142,7 @@ def test_the_command_does_shares(files, made, tmp_path, capsys):
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/", "-1/3", "1/0", "1/9999999"])
 def test_a_share_that_is_none_is_refused(text):
     with pytest.raises(UsageError, match=f"--shard: expected I/N, such as 3/8, with I from 1 to N, found '{text}'"):
-        check_shard(text)
+        bounds.share(text)
 
 
 @pytest.mark.parametrize(
@@ -153,6 +153,12 @@ def test_a_share_that_is_none_is_refused(text):
         (["fit", "zoo:nickel", "--device", "cuda:7"], "--device: expected one of cpu, found 'cuda:7'"),
         (["fit", "zoo:nickel", "--device", "potato"], "--device: expected one of cpu, found 'potato'"),
         (["fit", "zoo:nickel", "--device", "meta"], "--device: expected one of cpu, found 'meta'"),
+        (["fit", "zoo:nickel", "--executor", "sparks"], "--executor: expected one of processes, threads, dask, found"),
+        (
+            ["fit", "zoo:nickel", "--scheduler", "tcp://x:1"],
+            "--scheduler: expected --executor dask with it, found none",
+        ),
+        (["fit", "zoo:nickel", "--shard", "3/2", "--out", "a"], "--shard: expected I/N, such as 3/8"),
         (["collect", "a", "b"], "collect: expected --out with 2 folders, found none"),
     ],
 )

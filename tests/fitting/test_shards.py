@@ -9,6 +9,7 @@ from helpers.tiny_materials import timeless, write_tiny
 
 from torchbrdf.errors import DataError
 from torchbrdf.fitting import Batches, tables
+from torchbrdf.fitting.blocks import FitBlock, Fitted
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.lobes.parts import FitFolder, settings_hash
 from torchbrdf.losses import RMSLoss
@@ -242,3 +243,18 @@ def test_parquet_has_the_columns_of_the_table(out, files):
     records = json.loads((out / "fits.json").read_text())
     assert table["error"].to_pylist() == [record["error"] for record in records]
     assert table["roughness_0"].to_pylist() == [record["parameters"]["roughness"][0] for record in records]
+
+
+def test_what_is_fitted_on_a_device_is_opened_there_and_one_block_after_the_other(files, monkeypatch):
+    seen = []
+
+    def fitted(work, block):
+        measured = block.group.opened([])
+        seen.append((measured.device.type, measured.values.device.type, measured.pairs.cos_i.device.type))
+        return Fitted([], [])
+
+    monkeypatch.setattr(FitBlock, "__call__", fitted)
+    monkeypatch.setattr("torchbrdf.fitting.batches.side_by_side", None)  # would be called for what is on the CPU
+    groups = load_later(files, device="meta")  # what torch has in the place of a GPU: shapes, and no values
+    assert list(batches(None).fits(groups, bad=[])) == [[]] * 14
+    assert seen == [("meta", "meta", "meta")] * 14

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from torchbrdf import bounds
 from torchbrdf.cli.common import Options, Parser, read_settings, say, short
 from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.kinds import EXECUTORS, check_word
 from torchbrdf.progress import Progress
 
 if TYPE_CHECKING:
@@ -40,16 +42,16 @@ def add_working(parser: Parser) -> None:
 
 def check_working(options: Options) -> None:
     """A UsageError for options that are none, or do not go together."""
-    if options.shard is not None and not options.out:
-        raise UsageError("--shard: expected --out, too, found none: a share is of use only where it is written")
-    if options.parquet and not options.out:
-        raise UsageError("--parquet: expected --out, too, found none")
-    from torchbrdf.executors import check_place
-    from torchbrdf.fitting.batches import check_shard
-
-    check_place(options.executor, options.scheduler)
+    if options.executor is not None:
+        check_word("--executor", options.executor, EXECUTORS)
+    if options.scheduler is not None and options.executor != "dask":
+        found = options.executor or "none"
+        raise UsageError(f"--scheduler: expected --executor dask with it, found {found}")
     if options.shard is not None:
-        check_shard(options.shard)
+        bounds.share(options.shard)
+    for name in ("shard", "parquet"):
+        if getattr(options, name) and not options.out:
+            raise UsageError(f"--{name}: expected --out, too, found none")
     if options.parquet:
         from torchbrdf.fitting.tables import check_parquet
 
@@ -69,14 +71,14 @@ def check_device(name: str, *, here: bool = True) -> None:
 
     try:
         device = torch.device(name)
+        if device.type not in ("cpu", "cuda"):
+            raise RuntimeError("not of those that fits were made for")
         if here:
             torch.zeros(1, device=device, dtype=torch.float32).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         count = torch.cuda.device_count()
         there = ", ".join(["cpu", *(f"cuda:{k}" for k in range(count))])
         raise UsageError(f"--device: expected one of {there}, found {shown(name)}") from error
-    if device.type not in ("cpu", "cuda"):
-        raise UsageError(f"--device: expected cpu or cuda, found {shown(name)}")
 
 
 def load_files_later(options: Options) -> tuple[list["Group"], bool]:
@@ -137,9 +139,8 @@ class Found:
 def fit_all(batches: "Batches", groups: Sequence["Group"], options: Options, progress: Progress) -> tuple[Found, bool]:
     """Fit what there is to fit, and whether all could be; what could not is said as it comes."""
     from torchbrdf.executors import executor_of
-    from torchbrdf.fitting.batches import check_shard
 
-    shard = (1, 1) if options.shard is None else check_shard(options.shard)
+    shard = (1, 1) if options.shard is None else bounds.share(options.shard)
     names = [name for group in groups for name in group.names]
     found, bad, complete = Found(), list[DataError](), True
     made: dict[str, FitRecord] = {}

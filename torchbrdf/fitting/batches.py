@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.errors import DataError, shown
 from torchbrdf.executors import Place, side_by_side
 from torchbrdf.fitting.api import diffuse_mode, fit
 from torchbrdf.fitting.blocks import FILE, Block, FitBlock, Fitted, Group, block_size, check_distinct, input_of
@@ -310,25 +310,6 @@ class Batches:
 
 class _OtherMaterialError(DataError):
     """A folder has fits of another material of a name."""
-
-
-def check_shard(text: str) -> tuple[int, int]:
-    """Which of how many shares, from what is written `3/8`.
-
-    Args:
-        text: What is written.
-
-    Raises:
-        UsageError: It is none.
-
-    Example:
-        >>> check_shard("3/8")
-        (3, 8)
-    """
-    first, _, second = text.partition("/")
-    if first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second) <= 1_000_000:
-        return int(first), int(second)
-    raise UsageError(f"--shard: expected I/N, such as 3/8, with I from 1 to N, found {shown(text)}")
 
 
 def _cut(rows: range, size: int) -> list[list[int]]:
