@@ -30,6 +30,7 @@ from torchbrdf.solvers import Status
 log = logging.getLogger("torchbrdf")
 # Settings of a fit that all fits of a folder share.
 SHARED = ("strategy", "diffuse", "max_theta", "samples", "seed", "max_iterations")
+DEFAULTS = {name: one.default for name, one in inspect.signature(fit).parameters.items() if name in SHARED}
 # Those that old files say of each of their fits.
 OLD = ("model", "lobes", "loss", "strategy", "diffuse", "max_theta", "samples", "seed", "scene")
 
@@ -89,8 +90,7 @@ class Batches:
 
     def _shared(self, reading: dict[str, str]) -> dict[str, Any]:
         """What all fits of the folder have in common, as its manifest has it."""
-        defaults = {name: one.default for name, one in inspect.signature(fit).parameters.items() if name in SHARED}
-        own = defaults | {name: value for name, value in self.settings.items() if name in SHARED}
+        own = DEFAULTS | {name: value for name, value in self.settings.items() if name in SHARED}
         name, lobes = model_name(self.model)
         found = {"model": name, "lobes": lobes, "loss": self.loss.registered_name, **own}
         found |= {"strategy": strategy_name(own["strategy"]), "max_theta": float(own["max_theta"])}
