@@ -1,6 +1,6 @@
 """Kill commands at random times, and see that what they leave is taken up and ends as if nothing had been.
 
-    python benchmarks/kills.py [fit run train render match texels] [--kills 30] [--seed 0]
+    python benchmarks/kills.py [fit share collect run train render match texels] [--kills 30] [--seed 0]
 
 Each kill: the command runs in a new folder and gets SIGKILL, SIGTERM or SIGHUP at a random moment, or one of its worker
 processes gets SIGKILL; no process of it may be left after three seconds. Then the same command runs to its end. Every
@@ -9,6 +9,7 @@ seconds in JSON, CSV and pages); there may be no other file, in the folder, the 
 """
 
 import argparse
+import atexit
 import csv
 import io
 import json
@@ -29,8 +30,11 @@ import psutil
 
 STANDINS = Path(__file__).resolve().parents[1] / "assets" / "standins.json"
 FIT = ["fit", str(STANDINS), "--lobes", "1", "--samples", "2000", "--max-theta", "60"]
+SHARES = Path(tempfile.gettempdir()) / f"shares-{os.getpid()}"
 WORK = {
     "fit": FIT,
+    "share": [*FIT, "--shard", "1/2"],
+    "collect": ["collect", str(SHARES / "1"), str(SHARES / "2")],
     "run": ["run", "fores2012", "quick=true", "size=32"],
     "train": ["run", "train_metric", "quick=true"],
     "render": ["render", str(STANDINS), "--size", "48"],
@@ -69,6 +73,9 @@ def timeless(path: Path) -> bytes:
     data = path.read_bytes()
     if path.suffix == ".json":
         return json.dumps(_without_seconds(json.loads(data))).encode()
+    if path.suffix == ".jsonl":
+        head, *lines = [json.loads(line) for line in data.splitlines()]
+        return json.dumps([{**head, "sha256": ""}, *_without_seconds(lines)]).encode()
     if path.suffix == ".csv":
         rows = csv.DictReader(io.StringIO(data.decode()))
         return json.dumps([{key: value for key, value in row.items() if key != "seconds"} for row in rows]).encode()
@@ -147,9 +154,19 @@ def try_one(arguments: list[str], folder: Path, expected: dict[str, bytes], afte
     return wrong
 
 
+def make_shares() -> None:
+    """The two folders that are collected."""
+    for k in ("1", "2"):
+        command = [sys.executable, "-m", "torchbrdf", *FIT, "--shard", f"{k}/2", "--out", str(SHARES / k)]
+        subprocess.run(command, check=True, capture_output=True)
+
+
 def main(names: list[str], kills: int, seed: int) -> int:
     """Print a line for each command; the exit status is 1 if anything was wrong."""
     random.seed(seed)
+    if not names or "collect" in names:
+        make_shares()
+        atexit.register(shutil.rmtree, SHARES)
     failed = 0
     for name in names or list(WORK):
         with tempfile.TemporaryDirectory() as folder:
@@ -161,7 +178,7 @@ def main(names: list[str], kills: int, seed: int) -> int:
             ended: Counter[str] = Counter()
             wrong: list[str] = []
             for k in range(kills):
-                end = random.choice(list(ENDS) if name in ("fit", "run") else [e for e in ENDS if ENDS[e]])
+                end = random.choice(list(ENDS) if name in ("fit", "share", "run") else [e for e in ENDS if ENDS[e]])
                 after = random.uniform(0, seconds)
                 found = try_one(WORK[name], Path(folder) / str(k), expected, after, end)
                 wrong += [f"{name}, {end} after {after:.2f} s: {line}" for line in found]

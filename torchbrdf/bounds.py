@@ -10,6 +10,8 @@ WHOLE = (-(2**63), 2**63 - 1)
 """The bounds of a whole number that says none: what a tensor holds."""
 FINITE = (-math.inf, math.inf)
 """The bounds of a number that says none; it is finite all the same."""
+MOST_SHARES = 1_000_000
+"""Jobs that a fit may be shared by."""
 
 
 def whole(value: object, low: int = WHOLE[0], high: int = WHOLE[1]) -> int:
@@ -69,3 +71,22 @@ def number(value: object, low: float = FINITE[0], high: float = FINITE[1]) -> fl
         within += "" if (low, high) == FINITE else f" from {low:g} to {high:g}"
         raise UsageError(f"expected a{within}, found {shown(value, 40)}")
     return made
+
+
+def share(text: str) -> tuple[int, int]:
+    """Which of how many shares, from what is written `3/8`.
+
+    Args:
+        text: What is written.
+
+    Raises:
+        UsageError: It is none.
+
+    Example:
+        >>> share("3/8")
+        (3, 8)
+    """
+    first, _, second = text.partition("/")
+    if first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second) <= MOST_SHARES:
+        return int(first), int(second)
+    raise UsageError(f"--shard: expected I/N, such as 3/8, with I from 1 to N, found {shown(text)}")

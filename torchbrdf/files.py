@@ -257,16 +257,16 @@ def write_json(path: Path | str, value: object) -> None:
 
 
 def json_text(value: object) -> str:
-    """A value as indented JSON; a number that is not finite is null."""
-    return json.dumps(_finite(value), indent=1, allow_nan=False) + "\n"
+    """What `write_json` writes."""
+    return json.dumps(finite(value), indent=1, allow_nan=False) + "\n"
 
 
-def _finite(value: Any) -> Any:
-    """A value with None for every number in it that is not finite."""
+def finite(value: Any) -> Any:
+    """A value with None for every number in it that is not finite, which JSON has no word for."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

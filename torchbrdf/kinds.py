@@ -36,6 +36,7 @@ EXPORTERS: Registry[Any] = Registry(
 STRATEGIES: Registry[Any] = Registry("strategy", "torchbrdf.fitting", "torchbrdf.strategies", lambda: None)
 
 DIFFUSE_MODES = ("45:0", "fit")
+EXECUTORS = ("processes", "threads", "dask")
 INTERVALS = ("none", "gauss_newton", "bootstrap")
 BANDS = ("rgb", "keep")
 BACKENDS = ("auto", "pyrender", "software")

@@ -47,7 +47,9 @@ def thread_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
     yield from _in_threads(function, items, AHEAD)
 
 
-def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result | Lost]:
+def process_map(
+    function: Callable[[Item], Result], items: Sequence[Item], rule: str | None = None
+) -> Iterator[Result | Lost]:
     """As `thread_map`, in processes where that is quicker: threads of one process wait for Python's lock.
 
     For seconds of work on the CPU, of which a small result comes back. It is `thread_map` until this process has spent,
@@ -58,13 +60,13 @@ def process_map(function: Callable[[Item], Result], items: Sequence[Item]) -> It
 
     It stays `thread_map` with one item or one thread, while another thread has the processes, in a process that may
     have no children, and for what cannot be pickled or takes too many bytes, which the log says. TORCHBRDF_PROCESSES in
-    the environment, `always` or `never`, overrules the 15 seconds.
+    the environment, `always` or `never`, overrules the 15 seconds, and so does `rule`, which comes before it.
 
     Raises:
         RuntimeError: Processes die as they start.
         UsageError: TORCHBRDF_PROCESSES is something else.
     """
-    rule = os.environ.get(VARIABLE, "")
+    rule = os.environ.get(VARIABLE, "") if rule is None else rule
     if rule not in ("", "always", "never"):
         raise UsageError(f"{VARIABLE}: expected always or never, found {shown(rule)}")
     count = min(torch.get_num_threads(), len(items))

@@ -30,7 +30,7 @@ _IDLE = 300.0
 # Seconds between two looks of a worker at whether its parent is there.
 _WATCH = 0.2
 # Bytes of a function, which goes with every item, and of an item.
-_LARGEST_FUNCTION, _LARGEST_ITEM = 32 << 20, 256 << 20
+LARGEST_FUNCTION, LARGEST_ITEM = 32 << 20, 256 << 20
 
 logger = logging.getLogger("torchbrdf")
 
@@ -156,10 +156,10 @@ class Workers:
 
         def submit_from(queue: deque[tuple[int, Item]]) -> bool:
             """Whether the first of a queue could be given to a worker: not after the death of one."""
-            data = packed(queue[0][1], _LARGEST_ITEM)
+            data = packed(queue[0][1], LARGEST_ITEM)
             try:
                 with _without_ctrl_c():  # it may start a worker in the place of one that was idle for long
-                    running[self._executor.submit(_work, key, call, data, _settings(count))] = queue[0]
+                    running[self._executor.submit(work, key, call, data, settings(count))] = queue[0]
             except BrokenProcessPool:
                 return False
             queue.popleft()
@@ -227,7 +227,7 @@ def _without_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _settings(count: int) -> tuple[Any, ...]:
+def settings(count: int) -> tuple[Any, ...]:
     """What one of `count` workers has to know, so that it computes what this process would, in its share of memory."""
     import torch
 
@@ -241,7 +241,7 @@ def packed_function(function: object) -> bytes:
     Raises:
         CannotBeSentError: It cannot be pickled, or is too large.
     """
-    return packed(function, _LARGEST_FUNCTION)
+    return packed(function, LARGEST_FUNCTION)
 
 
 def packed(value: object, largest: int) -> bytes:
@@ -303,20 +303,20 @@ def _unpacked(data: bytes) -> Any:
         raise CannotBeSentError(f"{type(error).__name__}: {error}") from error
 
 
-def _work(key: bytes, call: bytes, item: bytes, settings: tuple[Any, ...]) -> bytes:
+def work(key: bytes, call: bytes, item: bytes, told: tuple[Any, ...]) -> bytes:
     """A function of an item; both, and the answer, pickled, so that no tensor goes by shared memory."""
     import cloudpickle
     import torch
 
     global _function
-    if _function[0] != key:
-        _function = key, _unpacked(call)
-    dtype, device, precision, gib = settings
+    known = _function  # of this thread, while another may change it
+    if known[0] != key:
+        _function = known = key, _unpacked(call)
+    dtype, device, precision, gib = told
     torch.set_default_dtype(dtype)
     torch.set_default_device(device)
     torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(1)
-    torch.set_grad_enabled(False)
-    with memory.limited(gib):
-        answer: bytes = cloudpickle.dumps(_function[1](_unpacked(item)))
+    with memory.limited(gib), torch.no_grad():
+        answer: bytes = cloudpickle.dumps(known[1](_unpacked(item)))
     return answer

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -194,7 +195,7 @@ def test_fits_that_are_links_are_written_where_they_lead(paint, tmp_path, capsys
     for name in ("fits.json", "fits.csv"):
         (out / name).symlink_to(there / name)
     assert main(["fit", str(paint), "--samples", "200", "--lobes", "1", "--out", str(out)]) == 0
-    links = {"fits.json": True, "fits.csv": True, "materials.json": False}
+    links = {"fits.json": True, "fits.csv": True, "manifest.json": False, "fits": False}
     assert {path.name: path.is_symlink() for path in out.iterdir()} == links
     assert {path.name: path.is_symlink() for path in there.iterdir()} == {"fits.json": False, "fits.csv": False}
     assert read_fits(there / "fits.json")[0].material == "paint"
@@ -238,6 +239,8 @@ def test_what_older_fits_do_not_say_is_called_so(paint, tmp_path, capsys):
     assert main(arguments) == 0
     (record,) = json.loads((tmp_path / "fits.json").read_text())
     del record["diffuse"]
+    shutil.rmtree(tmp_path / "fits")
+    (tmp_path / "manifest.json").unlink()  # which older folders do not have
     (tmp_path / "fits.json").write_text(json.dumps([record]))
     assert main(arguments) == 1
     assert "was fitted with diffuse that the file does not say, not 'fit'" in capsys.readouterr().err

@@ -11,7 +11,8 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "kills.py"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("work", "kills"), [("fit", 2), ("run", 1), ("train", 1), ("render", 2), ("match", 1), ("texels", 1)]
+    ("work", "kills"),
+    [("fit", 2), ("share", 1), ("collect", 1), ("run", 1), ("train", 1), ("render", 2), ("match", 1), ("texels", 1)],
 )
 def test_a_killed_command_is_taken_up_and_leaves_nothing(work, kills):
     done = subprocess.run(

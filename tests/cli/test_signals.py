@@ -67,7 +67,7 @@ def test_a_signal_ends_it_as_ctrl_c_does(tmp_path, name, processes):
     assert process.returncode == 128 + number
     assert said == "torchbrdf: stopped\n"
     assert_gone(every)
-    assert {path.name for path in (tmp_path / "out").iterdir()} <= {"fits.json", "fits.csv", "materials.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} <= {"fits.json", "fits.csv", "manifest.json", "fits"}
 
 
 @pytest.mark.slow

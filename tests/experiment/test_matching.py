@@ -88,7 +88,7 @@ def test_a_match_is_found_again_without_fits(tmp_path, nickel, scenes, monkeypat
     def refuse(*_args, **_settings):
         raise AssertionError("nothing is fitted again")
 
-    monkeypatch.setattr("torchbrdf.fitting.batches.fit", refuse)
+    monkeypatch.setattr("torchbrdf.fitting.blocks.fit", refuse)
     (again,) = find_matches([nickel], "mitsuba", TINY, out=tmp_path, scenes=scenes)
     assert again.chosen.record == first.chosen.record and again.chosen.figures == first.chosen.figures
 
@@ -187,6 +187,6 @@ def test_fits_under_both_are_found_again(tmp_path, nickel, scenes, monkeypatch):
     budget = replace(TINY, candidates=(Candidate("distribution_based", 1, ("compressed", "compressed+rendered")),))
     (first,) = find_matches([nickel], "mitsuba", budget, out=tmp_path, scenes=scenes)
     assert [one.record.loss for one in first.tried] == ["compressed", "compressed+rendered_delta_e76"]
-    monkeypatch.setattr("torchbrdf.fitting.batches.fit", None)
+    monkeypatch.setattr("torchbrdf.fitting.blocks.fit", None)
     (again,) = find_matches([nickel], "mitsuba", budget, out=tmp_path, scenes=scenes)
     assert [one.record for one in again.tried] == [one.record for one in first.tried]

@@ -1,7 +1,6 @@
 """Folders of fits that several processes write, that were left half-written, or with fits whose process died."""
 
 import csv
-import json
 import os
 import signal
 import threading
@@ -13,6 +12,7 @@ from helpers.known_models import measured_from, some_pairs, two_lobes
 from torchbrdf.errors import DataError
 from torchbrdf.fitting import Batches, Status, cross_score, fit
 from torchbrdf.lobes import make_model, read_fits
+from torchbrdf.lobes.parts import FitFolder, part_bytes
 from torchbrdf.losses import CompressedLoss, RMSLoss
 from torchbrdf.measured import Measured, load, standins
 
@@ -44,7 +44,7 @@ def test_several_at_once_add_to_one_folder(tmp_path):
     found = [record.material for record in read_fits(tmp_path / "fits.json")]
     assert sorted(found) == ["m0", "m1", "m2", "m3", "shared"]
     assert rows_of_table(tmp_path) == found
-    assert {one.name for one in tmp_path.iterdir()} == {"fits.json", "fits.csv", "materials.json"}
+    assert {one.name for one in tmp_path.iterdir()} == {"fits.json", "fits.csv", "manifest.json", "fits"}
 
 
 @pytest.mark.parametrize("spoil", [lambda path: path.unlink(), lambda path: path.write_text("material\nold\n")])
@@ -60,10 +60,11 @@ def test_a_table_that_is_missing_or_old_is_made_again(tmp_path, spoil):
 
 def test_a_fit_whose_process_died_is_made_again(tmp_path):
     batches(tmp_path).run([materials(["a", "b"])])
-    stored = json.loads((tmp_path / "fits.json").read_text())
-    good = dict(stored[1])
-    stored[1] |= {"status": "lost", "reason": "its worker process ended twice", "error": None}
-    (tmp_path / "fits.json").write_text(json.dumps(stored))
+    folder = FitFolder(tmp_path)
+    manifest = folder.manifest()
+    (good,) = folder.lines(1, manifest)
+    bad = good | {"status": "lost", "reason": "its worker process ended twice", "error": None}
+    folder.part_path(1).write_bytes(part_bytes(1, manifest.hash, [bad]))
     a, b = batches(tmp_path).run([materials(["a", "b"])])
     assert b.status == "converged" and b.error == good["error"]
     assert [record.status for record in read_fits(tmp_path / "fits.json")] == [a.status, "converged"]
@@ -75,9 +76,9 @@ def test_fits_are_taken_up_with_the_diffuse_treatment_that_the_loss_has(tmp_path
 
     (record,) = Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, samples=None).run([materials(["a"])])
     assert record.diffuse == "fit"
-    Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, diffuse="fit")
-    with pytest.raises(DataError, match="a was fitted with diffuse 'fit', not '45:0'; give another folder"):
-        Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, diffuse="45:0")
+    Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, samples=None, diffuse="fit")
+    with pytest.raises(DataError, match="its fits were made with diffuse 'fit', not '45:0'; give another folder"):
+        Batches(make_model("ward", 1), FreeLoss(), out=tmp_path, samples=None, diffuse="45:0")
 
 
 def deadly_loss(folder, times):
@@ -151,7 +152,7 @@ def test_another_material_of_the_same_name_is_refused(tmp_path):
     before = (tmp_path / "fits.json").read_bytes()
     other = load(standins()).batch([6], torch.arange(0, 900_000, 3000))
     renamed = Measured.from_samples(other.pairs, other.values, other.weight, names=["a"])
-    with pytest.raises(DataError, match=r"a: expected the material that .*materials.json has, found another; give"):
+    with pytest.raises(DataError, match=r"a: expected the material that .*manifest.json has, found another; give"):
         batches(tmp_path).run([renamed])
     assert (tmp_path / "fits.json").read_bytes() == before
 

@@ -7,7 +7,22 @@ import warnings
 from contextlib import nullcontext
 
 from torchbrdf import __version__, memory
-from torchbrdf.cli import check, compare, convert, export, fit, info, match, render, run, score, study, texels, view
+from torchbrdf.cli import (
+    check,
+    collect,
+    compare,
+    convert,
+    export,
+    fit,
+    info,
+    match,
+    render,
+    run,
+    score,
+    study,
+    texels,
+    view,
+)
 from torchbrdf.cli.common import Options, Parser, described
 from torchbrdf.cli.progress import reporting
 from torchbrdf.cli.signals import GRACE, ending
@@ -21,6 +36,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf match nickel.binary --for mitsuba    the simplest material that looks like it
   torchbrdf fit nickel.binary --model ward      one fit, printed
   torchbrdf texels lights.csv                   a model fitted to every texel of a photometric stack, as maps
+  torchbrdf collect fits-1/ fits-2/ --out fits/ the shares of a fit that several machines made
   torchbrdf render nickel.binary                a picture of a measured material, or of fits
   torchbrdf view nickel.binary fits.json        a page to turn them and to wipe between them
   torchbrdf compare nickel.binary fits.json     how far apart they are: metrics, pictures, slices
@@ -33,7 +49,7 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
   torchbrdf study serve runs/fores2012          ask people which fit looks closer, and scale their answers
 """
 
-COMMANDS = (run, match, fit, texels, render, view, compare, export, convert, info, check, score, study)
+COMMANDS = (run, match, fit, collect, texels, render, view, compare, export, convert, info, check, score, study)
 
 
 def build_parser() -> Parser:

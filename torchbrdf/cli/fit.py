@@ -1,6 +1,5 @@
 """`torchbrdf fit`."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchbrdf.bounds import SEEDS
@@ -12,12 +11,12 @@ from torchbrdf.cli.common import (
     add_reading,
     check_files,
     described,
-    load_files,
     number,
     read_settings,
     short,
     whole,
 )
+from torchbrdf.cli.many import MOST_LINES, add_working, check_working, fit_all, load_files_later, say_summary
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError
 from torchbrdf.kinds import DIFFERENCES, DIFFUSE_MODES, INTERVALS, LOSSES, STRATEGIES, check_model, check_word
@@ -42,8 +41,11 @@ Fit a model to measured BRDFs: files (MERL, RGL, ASTM E1392, Cornell, Zemax, FRE
   torchbrdf fit nickel.binary --model ward --loss combined
 
 The last three compare pictures: in every step; of fits under several metrics, of which the nearest is kept; and small
-ones beside the learned metric. A folder is fitted in batches, and each is written as it is done: run the command again,
-and it goes on from there.
+ones beside the learned metric. A folder is fitted in blocks, and each is written as it is done: run the command again,
+and it goes on from there. On several machines:
+
+  torchbrdf fit MERL/ --out fits/ --executor dask --scheduler tcp://login:8786
+  torchbrdf fit MERL/ --out fits-3/ --shard 3/8      one of eight jobs; torchbrdf collect puts them together
 """
 
 
@@ -95,9 +97,8 @@ def add(commands: Commands) -> None:
         help="95 %% intervals of parameters, in fits.json: gauss_newton (default; of losses of squares), bootstrap "
         "(of 100 refits, too), none",
     )
-    parser.add_argument(
-        "--out", help="folder for fits.json and fits.csv; fits that it holds already are not made again"
-    )
+    parser.add_argument("--out", help="folder for the fits; those that it holds already are not made again")
+    add_working(parser)
     add_memory(parser)
     add_reading(parser)
     add_bands(parser)
@@ -107,14 +108,13 @@ def add(commands: Commands) -> None:
 def command(options: Options) -> int:
     """`torchbrdf fit`."""
     _check_names(options)
-    settings = read_settings(options)
+    check_working(options)
     check_files(options.files)
 
-    from torchbrdf.experiment.discrimination import shares_of_fits
     from torchbrdf.experiment.labels import difference_label, diffuse_label
     from torchbrdf.files import destination, writable
     from torchbrdf.fitting import Batches
-    from torchbrdf.lobes import make_model, read_fits
+    from torchbrdf.lobes import make_model
     from torchbrdf.perception.discrimination.words import INTERVAL, MEANING, scale
 
     STRATEGIES[options.strategy]
@@ -125,15 +125,11 @@ def command(options: Options) -> int:
     if out is not None:
         for name in (FITS, TABLE):
             destination(out / name)
-        if (out / FITS).exists():
-            read_fits(out / FITS)
-    groups, complete = load_files(options.files, settings)
-    if not groups:
-        return 1
     batches = Batches(
         model,
         _loss(options),
         out=out,
+        reading=read_settings(options),
         strategy=options.strategy,
         diffuse=options.diffuse,
         max_theta=options.max_theta,
@@ -141,28 +137,34 @@ def command(options: Options) -> int:
         seed=options.seed,
         intervals=options.intervals,
     )
-    records = batches.run(groups, progress_bar("fits"))
+    groups, complete = load_files_later(options)
+    if not groups:
+        return 1
+    found, all_fitted = fit_all(batches, groups, options, progress_bar("fits"))
     if batches.loss.scene_summary:
         print(f"pictures of {batches.loss.scene_summary}")
-    diffuse = diffuse_label(batches.settings["diffuse"])
-    print(f"{'material':32s} {'error':>10s}  {'told apart by':22s} {'status':14s} parameters, {diffuse}")
-    shares = shares_of_fits(groups, records)
-    for record, share in zip(records, shares, strict=True):
-        rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
-        rest += [f"({note})" for note in _notes(record)]
-        told = "" if share is None else share.brief
-        print(f"{record.material:32s} {short(record.error):>10s}  {told:22s} {record.status:14s} {'  '.join(rest)}")
-    if any(shares):
-        print(f"{MEANING} {INTERVAL}")
+    if found.count > MOST_LINES:
+        say_summary(found)
+    else:
+        diffuse = diffuse_label(batches.settings["diffuse"])
+        print(f"{'material':32s} {'error':>10s}  {'told apart by':22s} {'status':14s} parameters, {diffuse}")
+        shares = found.shares(groups)
+        for record in found.records:
+            rest = [f"{key} {short(value)}" for key, value in record.parameters.items()]
+            rest += [f"({note})" for note in _notes(record)]
+            told = "" if (share := shares.get(record.material)) is None else share.brief
+            print(f"{record.material:32s} {short(record.error):>10s}  {told:22s} {record.status:14s} {'  '.join(rest)}")
+        if any(shares.values()):
+            print(f"{MEANING} {INTERVAL}")
     if (
         line := scale(options.difference, f"{difference_label(options.difference)} of pictures")
         if options.loss == RENDERED
         else ""
     ):
         print(line)
-    if options.out:
-        print(Path(options.out) / FITS)
-    return 0 if complete else 1
+    if out is not None:
+        print(out / FITS if (out / FITS).exists() and options.shard is None else out)
+    return 0 if complete and all_fitted else 1
 
 
 def samples(text: str) -> int | None:

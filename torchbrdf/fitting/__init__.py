@@ -8,6 +8,7 @@ from torchbrdf.solvers import Status
 if TYPE_CHECKING:
     from torchbrdf.fitting.api import SlowFitWarning, fit
     from torchbrdf.fitting.batches import Batches
+    from torchbrdf.fitting.collecting import Collected, collect
     from torchbrdf.fitting.global_search import GlobalSearch
     from torchbrdf.fitting.image_driven import ImageDriven
     from torchbrdf.fitting.result import FitResult, write_fits_csv
@@ -21,6 +22,8 @@ _HOME = {
     "SlowFitWarning": "api",
     "fit": "api",
     "Batches": "batches",
+    "Collected": "collecting",
+    "collect": "collecting",
     "GlobalSearch": "global_search",
     "ImageDriven": "image_driven",
     "FitResult": "result",
@@ -36,6 +39,7 @@ _HOME = {
 __all__ = [
     "STRATEGIES",
     "Batches",
+    "Collected",
     "FitResult",
     "Gathered",
     "GlobalSearch",
@@ -43,6 +47,7 @@ __all__ = [
     "SlowFitWarning",
     "Status",
     "TabulatedFit",
+    "collect",
     "cross_score",
     "fit",
     "local_minima",

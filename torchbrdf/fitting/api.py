@@ -4,6 +4,7 @@ import logging
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -78,6 +79,7 @@ def fit(
     intervals: str = GAUSS_NEWTON,
     progress: Progress = quiet,
     gathered: Gathered | None = None,
+    executor: Executor | None = None,
 ) -> FitResult:
     """Fit a model to every material of `measured` under a loss.
 
@@ -111,6 +113,8 @@ def fit(
         progress: called with the number of materials done, as they are done.
         gathered: a `torchbrdf.fitting.Gathered` of these materials within `max_theta`, for several fits that share one
             pass over them; it serves the loss objects that it was made with.
+        executor: what works on the materials in the place of this machine's threads and processes: any
+            `concurrent.futures.Executor`, such as Dask's `client.get_executor()`.
 
     Returns:
         The fitted models, their errors, and how each fit ended.
@@ -171,13 +175,13 @@ def fit(
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
     if gathered is None:
-        gathered = Gathered(measured, [model], [loss])
+        gathered = Gathered(measured, [model], [loss], executor)
     elif not isinstance(gathered, Gathered) or not gathered.is_of(measured):
         raise UsageError(f"fit: gathered: expected a Gathered of these materials within {max_theta:g} degrees")
     sums = None if intervals == BOOTSTRAP else gathered.find(model, loss)
     work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums)
     found: list[tuple[list[int], _Fitted | Lost]] = []
-    for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes)):
+    for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes), executor):
         found.append((rows, one))
         progress(sum(len(rows) for rows, _ in found), len(measured))
     done = _with_lost(found, start, reasons)

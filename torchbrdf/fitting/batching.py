@@ -1,11 +1,13 @@
 """Materials in batches, each worked on by one core."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from functools import partial
 from typing import TypeVar
 
 import torch
 
+from torchbrdf.executors import side_by_side
 from torchbrdf.measured import Measured
 from torchbrdf.parallel import Lost, process_map, thread_map
 
@@ -36,18 +38,25 @@ def material_batches(measured: Measured, pairs: int) -> Iterator[list[int]]:
 
 
 def parallel_map(
-    function: Callable[[list[int], Measured], Result], measured: Measured, pairs: int | None = None
+    function: Callable[[list[int], Measured], Result],
+    measured: Measured,
+    pairs: int | None = None,
+    executor: Executor | None = None,
 ) -> Iterator[tuple[list[int], Result | Lost]]:
     """`function` of batches of materials, their indices and what was measured of them, on all cores.
 
-    pairs: how many the work on a material holds; by default all of its own.
+    pairs: how many the work on a material holds; by default all of its own. executor: in the place of this machine's
+    threads and processes.
     """
     pairs = len(measured.pairs) if pairs is None else pairs
     batches = list(material_batches(measured, pairs))
     large = len(measured) * pairs > PROCESS_THRESHOLD and measured.device.type == "cpu"
-    run = process_map if large else thread_map
-    parts = [(rows, measured.batch(rows)) for rows in batches]
-    yield from zip(batches, run(partial(_apply, function), parts), strict=True)
+    parts, work = [(rows, measured.batch(rows)) for rows in batches], partial(_apply, function)
+    if executor is None:
+        yield from zip(batches, (process_map if large else thread_map)(work, parts), strict=True)
+        return
+    done = dict(side_by_side(work, parts, executor))
+    yield from ((rows, done[k]) for k, rows in enumerate(batches))
 
 
 def _apply(function: Callable[[list[int], Measured], Result], batch: tuple[list[int], Measured]) -> Result:

@@ -178,7 +178,17 @@ def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:
 
 def fits_csv(records: Iterable[FitRecord]) -> str:
     """The text that `write_fits_csv` writes."""
-    return csv_text([_flat(record.to_json()) for record in records])
+    return flat_csv([record.to_json() for record in records])
+
+
+def flat_csv(records: Iterable[dict[str, Any]]) -> str:
+    """The same of records as they are written."""
+    return csv_text([flat_record(record) for record in records])
+
+
+def flat_record(record: Any) -> dict[str, Any]:
+    """A record, as it is written, as columns: a number each."""
+    return _flat(record)
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

@@ -8,6 +8,7 @@ MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -99,6 +100,7 @@ class Gathered:
         measured: M materials, within the angle that fits shall see.
         models: what may be fitted.
         losses: under which.
+        executor: what works on the materials, as of `torchbrdf.fit`.
 
     Example:
         >>> from torchbrdf.lobes import make_model
@@ -110,8 +112,10 @@ class Gathered:
         [False, True]
     """
 
-    def __init__(self, measured: Measured, models: Sequence[Lobe], losses: Sequence[Loss]) -> None:
-        self.measured = measured
+    def __init__(
+        self, measured: Measured, models: Sequence[Lobe], losses: Sequence[Loss], executor: Executor | None = None
+    ) -> None:
+        self.measured, self.executor = measured, executor
         self.kinds = tuple(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
         self.losses = [loss for loss in losses if loss.is_quadratic]
 
@@ -142,7 +146,8 @@ class Gathered:
         groups = groups_of(self.measured.pairs, LEAST_PAIRS)
         if groups is None:
             return {}
-        found = [part for _, part in parallel_map(partial(_gathered, self.losses, self.kinds), self.measured)]
+        work = partial(_gathered, self.losses, self.kinds)
+        found = [part for _, part in parallel_map(work, self.measured, None, self.executor)]
         if any(isinstance(part, Lost) for part in found):
             return {}  # a process died over one of them; a fit says of which
         joined = [SufficientStatistics.joined(parts) for parts in zip(*found, strict=True)]

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ REACHED = 1.2
 """An error up to so many times that of the noise alone has reached it."""
 # Of a model, in 1/sr: beyond what any surface reflects.
 LARGEST_VALUE = 1e20
+# Models whose values are looked at together.
+_CHECKED = 1000
 
 
 class OutsideBoundsWarning(UserWarning):
@@ -273,10 +275,11 @@ def write_fits(path: Path | str, records: Iterable[FitRecord]) -> None:
 
 
 def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitRecord]:
-    """Read and check a `fits.json`. Parameters outside their bounds are kept, with an `OutsideBoundsWarning`.
+    """Read and check fits. Parameters outside their bounds are kept, with an `OutsideBoundsWarning`.
 
     Args:
-        path: The file; or a name in the zoo, such as `zoo:nickel`, for its one record.
+        path: A `fits.json`, or the folder of `torchbrdf fit`; or a name in the zoo, such as `zoo:nickel`, for its one
+            record.
         bad: A list that takes the errors of bad records, so that the others are read; None raises the first.
 
     Returns:
@@ -291,21 +294,19 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
         >>> [record.material for record in read_fits(standins())][:3]
         ['alum-bronze', 'aluminium', 'blue-acrylic']
     """
-    records: list[dict[str, Any]]
-    records = [zoo_record(path)] if is_zoo(path) else read_json(path, list[dict[str, Any]], "a list of fits")
-    if not records:
-        raise DataError(f"{path}: expected a list of fits, found an empty one")
     found: dict[int, FitRecord] = {}
     errors: dict[int, DataError] = {}
-    for k, record in enumerate(records):
+    places: list[str] = []
+    for k, (where, record) in enumerate(_listed(path, bad)):
+        places.append(where)
         try:
-            found[k] = FitRecord.from_json(record, f"{path}: fit {k}")
+            found[k] = FitRecord.from_json(record, where)
         except DataError as error:
             if bad is None:
                 raise
             errors[k] = error
     for k in _not_finite(found):
-        errors[k] = DataError(f"{path}: fit {k}: parameters of {found[k].model}: {_why_not_finite(found.pop(k))}")
+        errors[k] = DataError(f"{places[k]}: parameters of {found[k].model}: {_why_not_finite(found.pop(k))}")
         if bad is None:
             raise errors[k]
     kept = list(found.values())
@@ -314,6 +315,28 @@ def read_fits(path: Path | str, bad: list[DataError] | None = None) -> list[FitR
     else:  # whoever takes what is bad one by one sees to parameters, too
         bad += [errors[k] for k in sorted(errors)]
     return kept
+
+
+def _listed(path: Path | str, bad: list[DataError] | None) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The records that a path names as they are written, each with where it is."""
+    from torchbrdf.lobes.parts import FITS, FitFolder, fit_folder  # late: it makes records
+
+    folder = None if is_zoo(path) else fit_folder(Path(path))
+    records: Iterable[tuple[str, dict[str, Any]]]
+    if folder is not None:
+        records = FitFolder(folder).every(bad)
+    elif is_zoo(path):
+        records = [(f"{path}: fit 0", zoo_record(path))]
+    else:
+        path = Path(path) / FITS if Path(path).is_dir() else path
+        found: list[dict[str, Any]] = read_json(path, list[dict[str, Any]], "a list of fits")
+        records = ((f"{path}: fit {k}", record) for k, record in enumerate(found))
+    is_empty = True
+    for one in records:
+        is_empty = False
+        yield one
+    if is_empty and not bad:
+        raise DataError(f"{path}: expected a list of fits, found an empty one")
 
 
 def _warn_outside(path: Path | str, records: Sequence[FitRecord]) -> None:
@@ -341,7 +364,7 @@ def _not_finite(records: Mapping[int, FitRecord]) -> list[int]:
     for k, record in records.items():
         kinds.setdefault((record.model, record.lobes, record.channels), []).append(k)
     bad: set[int] = set()
-    for rows in kinds.values():
+    for rows in (own[k : k + _CHECKED] for own in kinds.values() for k in range(0, len(own), _CHECKED)):
         model = model_of([records[k] for k in rows], torch.float64)
         for dtype in (torch.float64, torch.float32):
             with torch.no_grad():

@@ -27,6 +27,7 @@ from torchbrdf.measured.speos import Speos
 from torchbrdf.measured.ssdd import Ssdd
 from torchbrdf.measured.standin import StandIn, standins
 from torchbrdf.measured.tensor_tree import TensorTree
+from torchbrdf.measured.unopened import Unopened, load_later
 from torchbrdf.measured.utia import Utia
 from torchbrdf.measured.zemax import Zemax
 
@@ -60,6 +61,7 @@ __all__ = [
     "Ssdd",
     "StandIn",
     "TensorTree",
+    "Unopened",
     "Utia",
     "Zemax",
     "check",
@@ -70,6 +72,7 @@ __all__ = [
     "is_merl",
     "load",
     "load_all",
+    "load_later",
     "merl_name",
     "merl_values",
     "standins",

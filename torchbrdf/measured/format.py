@@ -64,6 +64,7 @@ class BrdfFormat(ABC):
         is_anisotropic: Whether values depend on how the surface is turned about its normal; a property where that
             depends on the files.
         settings: What a reader can be told that a file does not say, and the values of each, the default first.
+        one_a_file: Whether each file has one material, whose name `name_of` gives.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it has a better way than between scattered samples.
     """
@@ -82,6 +83,7 @@ class BrdfFormat(ABC):
     is_reciprocal: ClassVar[bool] = False
     is_anisotropic: bool = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    one_a_file: ClassVar[bool] = True
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Values between scattered samples are reciprocal, and those of a way of its own need not be."""
@@ -107,6 +109,11 @@ class BrdfFormat(ABC):
         Raises:
             DataError: Names the first file that is bad.
         """
+
+    @classmethod
+    def name_of(cls, path: Path) -> str:
+        """The name that a file gives its material, without opening it."""
+        return path.stem
 
     @abstractmethod
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.lobes.parts import MANIFEST, fit_folder
 from torchbrdf.lobes.zoo import is_zoo, zoo_record
 from torchbrdf.measured.bands import BANDS, RGB
 from torchbrdf.measured.format import FORMATS, BrdfFormat
@@ -66,14 +67,14 @@ def load(
         torch.Size([1, 5, 3])
     """
     files = find_files(paths)
-    groups = _by_format(files)
+    groups = by_format(files)
     if len(groups) > 1:
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
     ((name, members),) = groups.items()
     settings = _with_bands(settings, bands)
     check_settings([name], settings)
-    return _open(name, members, dtype, device, settings)
+    return open_files(name, members, dtype, device, settings)
 
 
 def load_all(
@@ -106,15 +107,15 @@ def load_all(
         >>> [measured.source.format for measured in load_all([standins()])]
         ['fits']
     """
-    groups = _by_format(find_files(paths, bad), bad)
+    groups = by_format(find_files(paths, bad), bad)
     settings = _with_bands(settings, bands)
     check_settings(groups, settings)
-    found = []
-    for name, members in groups.items():
-        one = bad is None and (settings or {}).get("bands", RGB) == RGB
-        alike = [members] if one else _alike(name, members, bad, settings)
-        found += [_open(name, own, dtype, device, settings) for own in alike]
-    return found
+    found = [
+        open_good(name, own, bad, dtype, device, settings)
+        for name, members in groups.items()
+        for own in alike(name, members, bad, settings)
+    ]
+    return [one for one in found if one is not None]
 
 
 def format_of(path: Path) -> str | None:
@@ -154,16 +155,23 @@ def _recognises(name: str, source: type[BrdfFormat], path: Path, head: bytes) ->
         return False
 
 
-def _open(
+def open_files(
     name: str,
     paths: Sequence[Path],
     dtype: torch.dtype | None,
     device: torch.device | str | None,
     settings: Mapping[str, str] | None,
+    names: Sequence[str] | None = None,
 ) -> Measured:
+    """What was measured, of files of one format; names: of the materials, where each file has one."""
     source = _opened(name, paths, settings)
     # A name becomes a file's name and a line on pages: one that a file's stem gives may be anything.
-    source.names = _unique([clean_name(one) for one in source.names], source.paths)
+    if names is None:
+        names = unique_names([clean_name(one) for one in source.names], source.paths)
+    elif len(source.names) != len(names):
+        found = f"{len(source.names)} of {len(names)} files"
+        raise DataError(f"{paths[0]}: expected a material a file (one_a_file of the format {name}), found {found}")
+    source.names = list(names)
     return Measured(source, dtype=dtype, device=device)
 
 
@@ -199,7 +207,7 @@ def check_settings(names: Iterable[str], settings: Mapping[str, str] | None) -> 
             raise unknown(key, value, known[key])
 
 
-def _unique(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+def unique_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """Names that are names, with the folder in front where they are not unique, and a number behind if need be."""
     count = Counter(names)
     own = [
@@ -229,10 +237,15 @@ def _with_bands(settings: Mapping[str, str] | None, bands: str) -> Mapping[str, 
     return settings if bands == RGB else {**(settings or {}), "bands": bands}
 
 
-def _alike(
+def alike(
     name: str, paths: Sequence[Path], bad: list[DataError] | None, settings: Mapping[str, str] | None
 ) -> list[list[Path]]:
-    """The good files, in groups of those with the same bands."""
+    """Files of one format in groups that can be one `Measured`: where bands are kept, good ones with the same bands.
+
+    bad: takes the errors of the others; None raises the first.
+    """
+    if (settings or {}).get("bands", RGB) == RGB:
+        return [list(paths)]
     found: dict[object, list[Path]] = {}
     for path in paths:
         try:
@@ -246,7 +259,42 @@ def _alike(
     return list(found.values())
 
 
-def _by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+def open_good(
+    name: str,
+    paths: Sequence[Path],
+    bad: list[DataError] | None,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+    settings: Mapping[str, str] | None = None,
+    names: Sequence[str] | None = None,
+) -> Measured | None:
+    """As `open_files`, of those that can be opened; None if there are none.
+
+    bad: takes the errors of the others; None raises the first.
+    """
+    try:
+        return open_files(name, paths, dtype, device, settings, names)
+    except DataError:
+        if bad is None:
+            raise
+    good: list[int] = []
+    for row, path in enumerate(paths):
+        try:
+            _opened(name, [path], settings)
+        except DataError as error:
+            if bad is None:
+                raise
+            bad.append(error)
+        else:
+            good.append(row)
+    if not good:
+        return None
+    own = None if names is None else [names[row] for row in good]
+    return open_files(name, [paths[row] for row in good], dtype, device, settings, own)
+
+
+def by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+    """Files by their formats; bad: takes the errors of those of none."""
     groups: dict[str, list[Path]] = {}
     for path in paths:
         try:
@@ -309,6 +357,8 @@ def _file(path: Path) -> Path:
 
 
 def _folder(path: Path) -> list[Path]:
+    if fit_folder(path) is not None:
+        return [path / MANIFEST]
     try:
         inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     except OSError as error:

@@ -172,7 +172,7 @@ class Rgl(BrdfFormat):
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self.paths, self.told = list(paths), dict(settings or {})
-        self.names = [material_name(path.stem) for path in paths]
+        self.names = [self.name_of(path) for path in paths]
         self._files = [RglFile(path, self.told) for path in paths]
         self.is_anisotropic = any(file.phi is not None for file in self._files)
         first = self._files[0]
@@ -180,6 +180,11 @@ class Rgl(BrdfFormat):
         check_same_bands(paths, [(file.spectrum.shape[-1], file.wavelengths) for file in self._files])
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
+
+    @classmethod
+    def name_of(cls, path: Path) -> str:
+        """Without what tells a file of RGB from the spectral one."""
+        return material_name(path.stem)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as the paths of its files."""

@@ -261,7 +261,8 @@ def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.
     weight = 1 / (np.maximum(values if whole is None else whole, 0) + 4 * scale)
     from scipy.optimize import nnls  # late, as below
 
-    found: np.ndarray = nnls(lobes * weight[:, None], values * weight)[0]
+    # Lobes of neighbouring widths are nearly the same: three changes of mind for each, as scipy has it, can be too few.
+    found: np.ndarray = nnls(lobes * weight[:, None], values * weight, maxiter=1000 * lobes.shape[1])[0]
     return found
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.lobes.model import component_kinds
+from torchbrdf.lobes.parts import MANIFEST, fit_folder
 from torchbrdf.measured.bands import (
     BANDS,
     DEFAULT_ILLUMINANT,
@@ -56,6 +57,7 @@ class StandIn(BrdfFormat):
     stand_in = True
     is_sampled = False
     on_merl_bins = True
+    one_a_file = False
 
     def __init__(
         self, records: list[FitRecord], paths: Sequence[Path], settings: Mapping[str, str] | None = None
@@ -81,14 +83,21 @@ class StandIn(BrdfFormat):
         self.wavelengths = None if lengths is None else tuple(lengths)
         check_same_bands(self.names, [_bands_of(record) for record in self.records])
 
+    def select(self, materials: list[int]) -> "StandIn":
+        """Some materials, with the names that they have here."""
+        rows = [(self.records[k], self.paths[k]) for k in materials]
+        return _named(
+            [one for one, _ in rows], [path for _, path in rows], self.told, [self.names[k] for k in materials]
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as its records."""
-        return StandIn, (self.records, self.paths, self.told)
+        """Pickled as its records and names."""
+        return _named, (self.records, self.paths, self.told, list(self.names))
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether it is a `fits.json`, by the bracket of a list of objects."""
-        return b"".join(head.split()).startswith(b"[{")
+        """Whether it is a `fits.json`, by the bracket of a list of objects; or the manifest of a folder of fits."""
+        return b"".join(head.split()).startswith(b"[{") or (path.name == MANIFEST and fit_folder(path) is not None)
 
     @classmethod
     def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "StandIn":
@@ -199,6 +208,12 @@ def standins() -> Path:
 
 def _has_grain(record: FitRecord) -> bool:
     return any(kind.is_anisotropic for kind in component_kinds(record.model, record.lobes))
+
+
+def _named(records: list[FitRecord], paths: list[Path], told: Mapping[str, str], names: list[str]) -> StandIn:
+    found = StandIn(records, paths, told)
+    found.names = names
+    return found
 
 
 def _full_name(record: FitRecord) -> str:

@@ -49,7 +49,7 @@ def readers() -> dict[str, Reader]:
 NAMES = (
     *("merl", "rgl", "alta", "alta-binary", "astm", "bird", "columns", "cornell", "fred", "openmaterial", "zemax"),
     *("astm-grain", "utia", "merl_single", "rgl-anisotropic", "ssdd", "ssdd-binary"),
-    *("fits", "standins", "continued", "metric", "rgl-spectral", "cornell-bands", "fits-bands"),
+    *("fits", "standins", "continued", "manifest", "parts", "metric", "rgl-spectral", "cornell-bands", "fits-bands"),
     *("hdr", "exr", "exr-plain", "obj", "ply", "stl", "glb", "off"),
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
     *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),

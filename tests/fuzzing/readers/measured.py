@@ -31,6 +31,7 @@ from torchbrdf import load
 from torchbrdf.fitting.batches import Batches
 from torchbrdf.fitting.result import write_fits_csv
 from torchbrdf.lobes import LOBES, FitRecord, make_model, model_of, parameters, read_fits, write_fits
+from torchbrdf.lobes.parts import FitFolder, Input
 from torchbrdf.losses import LearnedLoss, RMSLoss
 from torchbrdf.measured import describe
 from torchbrdf.measured.listed import ListedFormat
@@ -197,9 +198,10 @@ def use_fits(path: Path) -> None:
         expect(record.error != float("inf"), "error is infinite")
         with later(), torch.no_grad():
             check_finite(model_of([record])(pairs), "values of the model")
-    write_fits(path.parent / "again.json", found)
-    write_fits_csv(path.parent / "again.csv", found)
-    again = [record.material for record in read_fits(path.parent / "again.json")]
+    folder = path if path.is_dir() else path.parent
+    write_fits(folder / "again.json", found)
+    write_fits_csv(folder / "again.csv", found)
+    again = [record.material for record in read_fits(folder / "again.json")]
     expect(again == [record.material for record in found], "written again it is another")
 
 
@@ -209,6 +211,19 @@ def use_continued(path: Path) -> None:
     for name, record in batches.done.items():
         check_name(name, "material")
         expect((record.model, record.lobes, record.loss) == ("ward", 1, "rms"), "another fit was taken up")
+
+
+def make_parts(folder: Path) -> None:
+    """A folder of fits in two parts."""
+    made, parts = records(), FitFolder(folder)
+    parts.register({"model": "any"}, [[Input(one.material, "", "") for one in own] for own in (made[:3], made[3:])])
+    parts.add(0, made[:3])
+    parts.add(1, made[3:])
+
+
+def use_part(path: Path) -> None:
+    """A part, read with its folder."""
+    use_fits(path.parent.parent)
 
 
 def make_metric(folder: Path) -> None:
@@ -250,5 +265,7 @@ READERS = (
     Reader("standins", "fits.json", make_fits, use_measured, (*JSON, *TEXT)),
     Reader("fits-bands", "fits.json", make_bands, use_bands, (*JSON, *TEXT)),
     Reader("continued", "fits.json", make_ward, use_continued, (*JSON, *TEXT)),
+    Reader("manifest", "manifest.json", make_parts, use_fits, (*JSON, *TEXT), share=0.5),
+    Reader("parts", "fits/part-00000.jsonl", make_parts, use_part, TEXT, share=0.5),
     Reader("metric", "metric.json", make_metric, use_metric, (*JSON, *TEXT)),
 )
