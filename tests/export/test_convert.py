@@ -125,6 +125,16 @@ def test_a_folder_becomes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture
     assert said.out.count("read back, within 75 degrees of the normal: relative difference") == 3
 
 
+def test_no_file_that_is_converted_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one.astm").write_text(astm())
+    (tmp_path / "one.csv").write_text(columns())
+    before = (tmp_path / "one.csv").read_bytes()
+    assert main(["convert", str(tmp_path), str(tmp_path), "--to", "csv"]) == 1
+    assert (tmp_path / "one.csv").read_bytes() == before
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "one.csv: expected another file than one that is converted" in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
@@ -132,7 +142,7 @@ def test_a_folder_becomes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture
         (["paint.csv", "paint"], 2, "or --to, found paint"),
         (["paint.csv", "paint.xml", "--to", "mitsuba"], 2, "expected one of astm, csv, merl, rgl, ssdd, found mitsuba"),
         (["paint.csv", "paint.xml", "--to", "cvs"], 2, "unknown exporter 'cvs'"),
-        (["paint.csv", "paint.csv"], 1, "expected another file than the one that is converted, found the same"),
+        (["paint.csv", "paint.csv"], 1, "expected another file than one that is converted, found the same"),
         (["nowhere.csv", "paint.astm"], 1, "nowhere.csv: no such file or folder"),
         (["two", "paint.astm"], 2, "expected a folder for 2 materials, found paint.astm; say --to"),
         (["paint.csv", "paint.csv/x.astm"], 1, "paint.csv"),

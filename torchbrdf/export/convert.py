@@ -130,9 +130,11 @@ def convert(
         raise problems[0]
     done: list[Converted] = []
     places = _places(materials, out, exporter, as_folder=to is not None)
+    read = [file for material in materials for file in sources(material) if file.exists()]
     for k, (material, path) in enumerate(zip(materials, places, strict=True)):
         progress(k, len(materials))
         try:
+            _check_place(path, read)
             done.append(_written(material, path, name, exporter))
         except TorchbrdfError as error:
             if bad is None:
@@ -201,11 +203,14 @@ def _places(materials: Sequence[Material], out: Path, exporter: TableExporter, a
     return [folder / f"{stem}{exporter.suffix}" for stem in stems]
 
 
+def _check_place(path: Path, read: Sequence[Path]) -> None:
+    """Refuse to write over a file that is, or is still to be, converted."""
+    if exists(path) and any(path.samefile(one) for one in read):
+        raise DataError(f"{path}: expected another file than one that is converted, found the same")
+
+
 def _written(material: Material, path: Path, to: str, exporter: TableExporter) -> Converted:
     """A material in its file, which is there when it was read back."""
-    for one in sources(material):
-        if path.exists() and one.exists() and path.samefile(one):
-            raise DataError(f"{path}: expected another file than the one that is converted, found the same")
     writable(path.parent)
     with torch.no_grad(), replacing(path) as part, _named(part, path):
         exported = exporter.write_file(material, part)

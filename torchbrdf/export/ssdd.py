@@ -22,7 +22,7 @@ from torchbrdf.pairs import Pairs
 # Nodes along theta_h, denser towards 0 by the second power; degrees between those along theta_d and phi_d.
 HALF_NODES, DIFFERENCE_STEP, AZIMUTH_STEP = 61, 2, 7.5
 # The same with a grain, and degrees between azimuths of the half vector.
-GRAIN_NODES, GRAIN_DIFFERENCE_STEP, GRAIN_AZIMUTH_STEP, GRAIN_STEP = 21, 6, 15, 30
+GRAIN_NODES, GRAIN_DIFFERENCE_STEP, GRAIN_AZIMUTH_STEP, GRAIN_STEP = 31, 7.5, 15, 15
 LOWEST = 1e-3
 
 
@@ -54,7 +54,7 @@ def axes_of(grain: bool) -> list[np.ndarray]:
     return [
         90 * np.linspace(0, 1, nodes) ** 2,
         np.arange(0, 361, GRAIN_STEP, dtype=float) if grain else np.zeros(1),
-        np.arange(0, 91, difference, dtype=float),
+        np.arange(0, 90 + difference / 2, difference, dtype=float),
         np.arange(0, most + azimuth / 2, azimuth, dtype=float),
     ]
 
