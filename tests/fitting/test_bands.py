@@ -201,3 +201,18 @@ def test_tables_in_bands_are_those_of_their_channels(loss):
     table, wanted = (found.model.components()[1].distribution[0] for found in (more, three))
     torch.testing.assert_close(table, wanted[:, [0, 1, 2, 1, 0]], rtol=0.02, atol=1e-3)
     assert FitRecord.from_json(more.records()[0].to_json()).channels == 5
+
+
+def test_files_of_fits_without_wavelengths_or_of_several_are_named(tmp_path):
+    _, measured = made_up(5)
+    (record,) = fit(make_model("ward", 1), measured, RMSLoss(), max_iterations=2).records()
+    fits = tmp_path / "fits.json"
+    fits.write_text(json.dumps([record.to_json() | {"wavelengths": None}]))
+    with pytest.raises(DataError, match=r"fits\.json: paint: expected wavelengths, .* found 5 bands whose wavelengths"):
+        load(fits)
+    assert load(fits, bands="keep").channels == 5
+    fits.write_text(json.dumps([record.to_json(), record.to_json() | {"wavelengths": None}]))
+    with pytest.raises(
+        DataError, match=r"fits\.json: paint: expected 5 bands from 400 to 440 nm, as .*, found 5 bands"
+    ):
+        load(fits, bands="keep")

@@ -68,8 +68,8 @@ class StandIn(BrdfFormat):
         self.pairs = bin_centers()
         if self.told.get("bands") == KEEP:
             self._keep_bands()
-        for record in records:
-            self._weights(record)  # says if there are none
+        for record, where in zip(records, self._origins, strict=True):
+            self._weights(record, where)  # says if there are none
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
     def _keep_bands(self) -> None:
@@ -77,7 +77,13 @@ class StandIn(BrdfFormat):
         first = self.records[0]
         self.channels, lengths = first.channels, first.wavelengths
         self.wavelengths = None if lengths is None else tuple(lengths)
-        check_same_bands(self.names, [_bands_of(record) for record in self.records])
+        check_same_bands(self._origins, [_bands_of(record) for record in self.records])
+
+    @property
+    def _origins(self) -> list[str]:
+        """Of each record its file, if it has one, and material, for errors."""
+        files = [f"{path}: " for path in self.paths] or [""] * len(self.records)
+        return [f"{file}{record.material}" for file, record in zip(files, self.records, strict=True)]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records."""
@@ -150,11 +156,11 @@ class StandIn(BrdfFormat):
             found.append((rows, model, None if colors is None else colors.to(device, dtype)))
         return found
 
-    def _weights(self, record: FitRecord) -> Tensor | None:
+    def _weights(self, record: FitRecord, where: str = "") -> Tensor | None:
         """What makes RGB of a record's bands; None where values are to stay what they are."""
         if is_rgb(record) or self.told.get("bands") == KEEP:
             return None
-        return weights_of(*_bands_of(record), self._illuminant, record.material)
+        return weights_of(*_bands_of(record), self._illuminant, where or record.material)
 
     @property
     def _illuminant(self) -> str:
