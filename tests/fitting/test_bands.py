@@ -95,8 +95,12 @@ def test_bands_of_tables_are_fitted_from_sums():
 
 def test_what_is_refused():
     _, measured = made_up(5)
-    with pytest.raises(UsageError, match=r"principled: expected linear RGB, .* found 5 channels; read bands as RGB"):
-        fit(make_model("principled"), measured, RMSLoss())
+    three = Measured.from_samples(measured.pairs, measured.values[..., :3], wavelengths=[465, 525, 630])
+    for bands, found in ((measured, "5 bands from 400 to 440 nm"), (three, "3 bands of 465, 525, 630 nm")):
+        with pytest.raises(UsageError, match=f"principled: expected linear RGB, .* found {found}; read bands as RGB"):
+            fit(make_model("principled"), bands, RMSLoss())
+    with pytest.raises(UsageError, match=r"principled: expected linear RGB, .* found 5 channels"):
+        make_model("principled", channels=5)
     with pytest.raises(ShapeError, match=r"Ward\.specular: expected the same start for all 3 channels"):
         fit(Sum(make_model("ward", 1).components()[0], Ward(specular=[0.1, 0.2, 0.3])), measured, RMSLoss())
     with pytest.raises(UsageError, match="Sum: expected lobes with as many channels each, found"):
