@@ -132,12 +132,14 @@ def test_luminance_of_the_learned_metric_is_by_wavelengths():
     assert LearnedLoss(luminance=[1, 1]).with_luminance([1.0, 0.0]).luminance == (1.0, 1.0)
 
 
-def test_a_fit_in_bands_is_a_material_in_rgb(tmp_path):
+def test_a_fit_in_bands_is_a_material_in_rgb(tmp_path, caplog):
     _, measured = made_up(31)
     result = fit(make_model("ward", 1), measured, RMSLoss())
     result.save(tmp_path / "fits.json")
     kept, rgb = (load(tmp_path / "fits.json", bands=bands) for bands in ("keep", "rgb"))
     assert kept.wavelengths == lengths_of(31) and rgb.is_rgb
+    words = "31 bands from 400 to 700 nm become linear RGB (BT.709) by the CIE 1931 observer under illuminant D65"
+    assert [record.getMessage() for record in caplog.records] == [f"torchbrdf: {tmp_path}/fits.json: {words}"]
     pairs = pairs_of(50, seed=5).to(dtype=torch.float32)
     torch.testing.assert_close(rgb.at(pairs), kept.to_rgb().at(pairs))
     (record,) = read_fits(tmp_path / "fits.json")

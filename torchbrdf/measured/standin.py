@@ -1,6 +1,7 @@
 """Fitted models in the place of measurements: the records of a `fits.json`, on MERL's bins."""
 
 import importlib.resources
+import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -30,6 +31,9 @@ from torchbrdf.solvers import Status
 
 # How fits end of which nothing is to be shown.
 FAILED = (Status.NOT_FINITE, Status.NO_DATA, Status.TOO_FEW_SAMPLES, Status.BAD_START, Status.LOST)
+
+
+log = logging.getLogger("torchbrdf")
 
 
 class FailedFitWarning(UserWarning):
@@ -107,7 +111,19 @@ class StandIn(BrdfFormat):
                     warnings.warn(f"{path}: {record.material}: {failed}", FailedFitWarning, stacklevel=2)
             records += found
             origin += [path] * len(found)
-        return cls(records, origin, settings)
+        source = cls(records, origin, settings)
+        source._announce()
+        return source
+
+    def _announce(self) -> None:
+        """Say once how the bands of fits become colours."""
+        said = {}
+        for record, path in zip(self.records[::-1], self.paths[::-1], strict=True):
+            found = self._colors_of(record)
+            if "colours" in found:
+                said[f"{found['bands']} become {found['colours']}"] = path
+        for words, path in said.items():
+            log.warning("torchbrdf: %s: %s", path, words)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values of models on some bins, float64, and weights 1."""
