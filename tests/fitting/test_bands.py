@@ -95,8 +95,12 @@ def test_bands_of_tables_are_fitted_from_sums():
 
 def test_what_is_refused():
     _, measured = made_up(5)
-    with pytest.raises(UsageError, match=r"principled: expected linear RGB, .* found 5 channels; read bands as RGB"):
-        fit(make_model("principled"), measured, RMSLoss())
+    three = Measured.from_samples(measured.pairs, measured.values[..., :3], wavelengths=[465, 525, 630])
+    for bands, found in ((measured, "5 bands from 400 to 440 nm"), (three, "3 bands of 465, 525, 630 nm")):
+        with pytest.raises(UsageError, match=f"principled: expected linear RGB, .* found {found}; read bands as RGB"):
+            fit(make_model("principled"), bands, RMSLoss())
+    with pytest.raises(UsageError, match=r"principled: expected linear RGB, .* found 5 channels"):
+        make_model("principled", channels=5)
     with pytest.raises(ShapeError, match=r"Ward\.specular: expected the same start for all 3 channels"):
         fit(Sum(make_model("ward", 1).components()[0], Ward(specular=[0.1, 0.2, 0.3])), measured, RMSLoss())
     with pytest.raises(UsageError, match="Sum: expected lobes with as many channels each, found"):
@@ -128,12 +132,14 @@ def test_luminance_of_the_learned_metric_is_by_wavelengths():
     assert LearnedLoss(luminance=[1, 1]).with_luminance([1.0, 0.0]).luminance == (1.0, 1.0)
 
 
-def test_a_fit_in_bands_is_a_material_in_rgb(tmp_path):
+def test_a_fit_in_bands_is_a_material_in_rgb(tmp_path, caplog):
     _, measured = made_up(31)
     result = fit(make_model("ward", 1), measured, RMSLoss())
     result.save(tmp_path / "fits.json")
     kept, rgb = (load(tmp_path / "fits.json", bands=bands) for bands in ("keep", "rgb"))
     assert kept.wavelengths == lengths_of(31) and rgb.is_rgb
+    words = "31 bands from 400 to 700 nm become linear RGB (BT.709) by the CIE 1931 observer under illuminant D65"
+    assert [record.getMessage() for record in caplog.records] == [f"torchbrdf: {tmp_path}/fits.json: {words}"]
     pairs = pairs_of(50, seed=5).to(dtype=torch.float32)
     torch.testing.assert_close(rgb.at(pairs), kept.to_rgb().at(pairs))
     (record,) = read_fits(tmp_path / "fits.json")
@@ -201,3 +207,18 @@ def test_tables_in_bands_are_those_of_their_channels(loss):
     table, wanted = (found.model.components()[1].distribution[0] for found in (more, three))
     torch.testing.assert_close(table, wanted[:, [0, 1, 2, 1, 0]], rtol=0.02, atol=1e-3)
     assert FitRecord.from_json(more.records()[0].to_json()).channels == 5
+
+
+def test_files_of_fits_without_wavelengths_or_of_several_are_named(tmp_path):
+    _, measured = made_up(5)
+    (record,) = fit(make_model("ward", 1), measured, RMSLoss(), max_iterations=2).records()
+    fits = tmp_path / "fits.json"
+    fits.write_text(json.dumps([record.to_json() | {"wavelengths": None}]))
+    with pytest.raises(DataError, match=r"fits\.json: paint: expected wavelengths, .* found 5 bands whose wavelengths"):
+        load(fits)
+    assert load(fits, bands="keep").channels == 5
+    fits.write_text(json.dumps([record.to_json(), record.to_json() | {"wavelengths": None}]))
+    with pytest.raises(
+        DataError, match=r"fits\.json: paint: expected 5 bands from 400 to 440 nm, as .*, found 5 bands"
+    ):
+        load(fits, bands="keep")

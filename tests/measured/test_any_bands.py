@@ -5,7 +5,7 @@ import pickle
 import pytest
 import torch
 from helpers.directions import hemisphere
-from helpers.listed_files import astm, bird, cornell
+from helpers.listed_files import astm, bird, columns, cornell
 
 from torchbrdf import fit
 from torchbrdf.color import luminance
@@ -61,6 +61,7 @@ def test_a_value_has_a_channel():
 TEXTS = {
     "astm": (astm, (465.0, 525.0, 630.0)),
     "bird": (bird, (500.0, 600.0)),
+    "columns": (lambda: columns().replace("phi,r,g,b", "phi,630nm,525nm,465"), (465.0, 525.0, 630.0)),
     "cornell": (cornell, (400, 500, 600, 700)),
 }
 

@@ -34,7 +34,7 @@ from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joi
 from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics, without_idle_weight
 from torchbrdf.fitting.task import Task
 from torchbrdf.lobes import Lambert, Lobe
-from torchbrdf.lobes.in_bands import with_channels
+from torchbrdf.lobes.in_bands import check_bands, with_channels
 from torchbrdf.lobes.parameter_dict import (
     ParameterDict,
     canonical,
@@ -45,6 +45,7 @@ from torchbrdf.lobes.parameter_dict import (
 )
 from torchbrdf.losses import Loss, Problem, as_loss
 from torchbrdf.measured import Measured
+from torchbrdf.measured.bands import bands_in_words
 from torchbrdf.parallel import Lost
 from torchbrdf.precision import HALVES, undisturbed
 from torchbrdf.progress import Progress, quiet
@@ -155,6 +156,8 @@ def fit(
         )
     if loss.needs_rgb:
         measured.check_rgb(loss.registered_name)
+    if not measured.is_rgb:
+        check_bands(map(type, model.components()), bands_in_words(measured.channels, measured.wavelengths))
     model = with_channels(model, measured.channels)
     loss = loss if measured.is_rgb else loss.with_luminance(measured.luminance_shares)
     measured = measured.within(max_theta).to(dtype=torch.float32 if measured.dtype in HALVES else measured.dtype)

@@ -4,6 +4,7 @@ Such a kind of lobe is made of the one that is declared, and is a subclass of it
 band, and all else is the same.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -36,17 +37,36 @@ def in_bands(kind: type[Lobe], channels: int) -> type[Lobe]:
     own = kind.in_rgb
     if channels == RGB:
         return own
-    if own.is_material:
-        name = LOBES.name_of(own) or own.__name__
-        raise UsageError(
-            f"{name}: expected linear RGB, which a renderer's whole material is of, found {channels} channels; "
-            "read bands as RGB (--bands rgb), or fit lobes such as ward"
-        )
+    check_bands([own], f"{channels} channels")
     if not 0 < channels <= MOST:
         raise UsageError(f"{own.__name__}: expected 1 to {MOST} channels, found {channels}")
     if (own, channels) not in _KNOWN:
         _KNOWN[own, channels] = _made(own, channels)
     return _KNOWN[own, channels]
+
+
+def check_bands(kinds: Iterable[type[Lobe]], found: str) -> None:
+    """Refuse whole materials of renderers, which are of linear RGB.
+
+    Args:
+        kinds: of lobes.
+        found: what there is in the place of linear RGB, for the message.
+
+    Raises:
+        UsageError: one of them is a whole material.
+
+    Example:
+        >>> from torchbrdf.lobes import Ward
+        >>> from torchbrdf.lobes.in_bands import check_bands
+        >>> check_bands([Ward], "31 channels")
+    """
+    for kind in kinds:
+        if kind.is_material:
+            name = LOBES.name_of(kind.in_rgb) or kind.__name__
+            raise UsageError(
+                f"{name}: expected linear RGB, which a renderer's whole material is of, found {found}; "
+                "read bands as RGB (--bands rgb), or fit lobes such as ward"
+            )
 
 
 _KNOWN: dict[tuple[type[Lobe], int], type[Lobe]] = {}

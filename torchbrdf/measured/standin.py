@@ -1,6 +1,7 @@
 """Fitted models in the place of measurements: the records of a `fits.json`, on MERL's bins."""
 
 import importlib.resources
+import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -32,6 +33,9 @@ from torchbrdf.solvers import Status
 
 # How fits end of which nothing is to be shown.
 FAILED = (Status.NOT_FINITE, Status.NO_DATA, Status.TOO_FEW_SAMPLES, Status.BAD_START, Status.LOST)
+
+
+log = logging.getLogger("torchbrdf")
 
 
 class FailedFitWarning(UserWarning):
@@ -72,8 +76,8 @@ class StandIn(BrdfFormat):
         self.pairs = bin_centers()
         if self.told.get("bands") == KEEP:
             self._keep_bands()
-        for record in records:
-            self._weights(record)  # says if there are none
+        for record, where in zip(records, self._origins, strict=True):
+            self._weights(record, where)  # says if there are none
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
     def _keep_bands(self) -> None:
@@ -81,7 +85,13 @@ class StandIn(BrdfFormat):
         first = self.records[0]
         self.channels, lengths = first.channels, first.wavelengths
         self.wavelengths = None if lengths is None else tuple(lengths)
-        check_same_bands(self.names, [_bands_of(record) for record in self.records])
+        check_same_bands(self._origins, [_bands_of(record) for record in self.records])
+
+    @property
+    def _origins(self) -> list[str]:
+        """Of each record its file, if it has one, and material, for errors."""
+        files = [f"{path}: " for path in self.paths] or [""] * len(self.records)
+        return [f"{file}{record.material}" for file, record in zip(files, self.records, strict=True)]
 
     def select(self, materials: list[int]) -> "StandIn":
         """Some materials, with the names that they have here."""
@@ -112,7 +122,19 @@ class StandIn(BrdfFormat):
                     warnings.warn(f"{path}: {record.material}: {failed}", FailedFitWarning, stacklevel=2)
             records += found
             origin += [path] * len(found)
-        return cls(records, origin, settings)
+        source = cls(records, origin, settings)
+        source._announce()
+        return source
+
+    def _announce(self) -> None:
+        """Say once how the bands of fits become colours."""
+        said = {}
+        for record, path in zip(self.records[::-1], self.paths[::-1], strict=True):
+            found = self._colors_of(record)
+            if "colours" in found:
+                said[f"{found['bands']} become {found['colours']}"] = path
+        for words, path in said.items():
+            log.warning("torchbrdf: %s: %s", path, words)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values of models on some bins, float64, and weights 1; none of lobes with a grain, which bins do not know."""
@@ -165,11 +187,11 @@ class StandIn(BrdfFormat):
             found.append((rows, model, None if colors is None else colors.to(device, dtype)))
         return found
 
-    def _weights(self, record: FitRecord) -> Tensor | None:
+    def _weights(self, record: FitRecord, where: str = "") -> Tensor | None:
         """What makes RGB of a record's bands; None where values are to stay what they are."""
         if is_rgb(record) or self.told.get("bands") == KEEP:
             return None
-        return weights_of(*_bands_of(record), self._illuminant, record.material)
+        return weights_of(*_bands_of(record), self._illuminant, where or record.material)
 
     @property
     def _illuminant(self) -> str:
