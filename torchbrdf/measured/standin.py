@@ -1,6 +1,7 @@
 """Fitted models in the place of measurements: the records of a `fits.json`, on MERL's bins."""
 
 import importlib.resources
+import math
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
@@ -10,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, one_line
+from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.lobes.model import component_kinds
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
@@ -19,6 +20,8 @@ from torchbrdf.measured.merl import bin_centers
 from torchbrdf.pairs import Pairs
 from torchbrdf.solvers import Status
 
+# Of a turn.
+_GOLDEN = math.pi * (3 - math.sqrt(5))
 # How fits end of which nothing is to be shown.
 FAILED = (Status.NOT_FINITE, Status.NO_DATA, Status.TOO_FEW_SAMPLES, Status.BAD_START, Status.LOST)
 
@@ -38,7 +41,7 @@ class StandIn(BrdfFormat):
 
     Each record gives a material, whose values are the model's, anywhere.
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
-    says that they are stand-ins. A material with several fits in a file is named with the model, lobes and loss.
+    says that they are stand-ins. Where a lobe has a grain their half vectors lie at azimuths all round. A material with several fits in a file is named with the model, lobes and loss.
     """
 
     format = "fits"
@@ -53,7 +56,7 @@ class StandIn(BrdfFormat):
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
         self.is_anisotropic = any(map(_has_grain, records))
-        self.pairs = bin_centers()
+        self.pairs = _turned(bin_centers()) if self.is_anisotropic else bin_centers()
         self._models = lru_cache(8)(self._batched)  # a renderer asks for the same ones again and again
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -81,11 +84,7 @@ class StandIn(BrdfFormat):
         return cls(records, origin)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """Values of models on some bins, float64, and weights 1; none of lobes with a grain, which bins do not know."""
-        for material in materials:
-            if _has_grain(self.records[material]):
-                model = self.records[material].model
-                raise DataError(f"{self.names[material]}: expected an isotropic model for MERL's bins, found {model}")
+        """Values of models on some bins, float64, and weights 1."""
         values = self.at(self.pairs.select(samples=samples), materials, "linear").values
         return values, torch.ones_like(values[..., :1])
 
@@ -137,6 +136,12 @@ def standins() -> Path:
 
 def _has_grain(record: FitRecord) -> bool:
     return any(kind.is_anisotropic for kind in component_kinds(record.model, record.lobes))
+
+
+def _turned(pairs: Pairs) -> Pairs:
+    """The same pairs with half vectors at azimuths all round, in no order."""
+    phi_h = torch.arange(len(pairs), dtype=torch.float64, device="cpu") * _GOLDEN
+    return Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, phi_h.remainder(2 * math.pi)[None])
 
 
 def _full_name(record: FitRecord) -> str:
