@@ -28,7 +28,7 @@ FAR = 12.0
 def reading_45_0() -> Pairs:
     """The 45:0 reading, `(1, 1)`: light at 45 degrees, viewer at the normal."""
     angle = torch.full((1, 1), math.pi / 8, dtype=torch.float64, device="cpu")
-    return Pairs.from_half_diff(angle, angle, torch.zeros_like(angle))
+    return Pairs.from_half_diff(angle, angle, torch.zeros_like(angle), torch.zeros_like(angle))
 
 
 # The samples of shared pairs that were asked for last, with device and dtype.

@@ -2,6 +2,7 @@
 
 import importlib.resources
 import logging
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -11,7 +12,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, one_line
+from torchbrdf.errors import one_line
 from torchbrdf.lobes import FitRecord, Sum, model_of, read_fits
 from torchbrdf.lobes.model import component_kinds
 from torchbrdf.lobes.parts import MANIFEST, fit_folder
@@ -31,6 +32,8 @@ from torchbrdf.measured.merl import bin_centers
 from torchbrdf.pairs import Pairs
 from torchbrdf.solvers import Status
 
+# Of a turn.
+_GOLDEN = math.pi * (3 - math.sqrt(5))
 # How fits end of which nothing is to be shown.
 FAILED = (Status.NOT_FINITE, Status.NO_DATA, Status.TOO_FEW_SAMPLES, Status.BAD_START, Status.LOST)
 
@@ -53,7 +56,7 @@ class StandIn(BrdfFormat):
 
     Each record gives a material, whose values are the model's, anywhere.
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
-    says that they are stand-ins. A material with several fits in a file is named with the model, lobes and loss.
+    says that they are stand-ins. Where a lobe has a grain their half vectors lie at azimuths all round. A material with several fits in a file is named with the model, lobes and loss.
     """
 
     format = "fits"
@@ -73,7 +76,7 @@ class StandIn(BrdfFormat):
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
         self.is_anisotropic = any(map(_has_grain, records))
-        self.pairs = bin_centers()
+        self.pairs = _turned(bin_centers()) if self.is_anisotropic else bin_centers()
         if self.told.get("bands") == KEEP:
             self._keep_bands()
         for record, where in zip(records, self._origins, strict=True):
@@ -137,11 +140,7 @@ class StandIn(BrdfFormat):
             log.warning("torchbrdf: %s: %s", path, words)
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
-        """Values of models on some bins, float64, and weights 1; none of lobes with a grain, which bins do not know."""
-        for material in materials:
-            if _has_grain(self.records[material]):
-                model = self.records[material].model
-                raise DataError(f"{self.names[material]}: expected an isotropic model for MERL's bins, found {model}")
+        """Values of models on some bins, float64, and weights 1."""
         values = self.at(self.pairs.select(samples=samples), materials, "linear").values
         return values, torch.ones_like(values[..., :1])
 
@@ -236,6 +235,12 @@ def _named(records: list[FitRecord], paths: list[Path], told: Mapping[str, str],
     found = StandIn(records, paths, told)
     found.names = names
     return found
+
+
+def _turned(pairs: Pairs) -> Pairs:
+    """The same pairs with half vectors at azimuths all round, in no order."""
+    phi_h = torch.arange(len(pairs), dtype=torch.float64, device="cpu") * _GOLDEN
+    return Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, phi_h.remainder(2 * math.pi)[None])
 
 
 def _full_name(record: FitRecord) -> str:

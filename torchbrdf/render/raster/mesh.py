@@ -137,9 +137,9 @@ def level_tangents(normals: np.ndarray) -> np.ndarray:
 
     Example:
         >>> import numpy as np
-        >>> level_tangents(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
-        array([[1., 0., 0.],
-               [1., 0., 0.]])
+        >>> level_tangents(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+        array([[ 0.,  0., -1.],
+               [ 1.,  0.,  0.]])
     """
     x, z = normals[..., 0], normals[..., 2]
     length = np.hypot(x, z)
