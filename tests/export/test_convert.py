@@ -110,6 +110,17 @@ def test_bands_keep_their_wavelengths(bands: tuple[float, ...] | None, to: str, 
         assert {"ssdd": "COLOR_MODEL monochrome", "csv": "phi_o,f\n", "astm": "phi_s,brdf\n"}[to] in text
 
 
+def test_bands_of_a_file_are_kept_where_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "paint.astm"
+    path.write_text(astm())
+    for out in ("kept.csv", "kept.ssdd"):
+        assert main(["convert", str(path), str(tmp_path / out), "--bands", "keep"]) == 0
+        again = load(tmp_path / out, settings={"bands": "keep"})
+        assert again.wavelengths == (465.0, 525.0, 630.0)
+    assert main(["convert", str(path), str(tmp_path / "kept.binary"), "--bands", "keep"]) == 1
+    assert "expected linear RGB" in capsys.readouterr().err
+
+
 def test_a_folder_becomes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = tmp_path / "in", tmp_path / "out"
     source.mkdir()

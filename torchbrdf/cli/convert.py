@@ -2,7 +2,7 @@
 
 import sys
 
-from torchbrdf.cli.common import Commands, Options, add_reading, described, read_settings, say
+from torchbrdf.cli.common import Commands, Options, add_bands, add_reading, described, read_settings, say
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.kinds import EXPORTERS
 
@@ -29,6 +29,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("out", metavar="OUT", help="the file, or a folder for several")
     parser.add_argument("--to", help="merl, rgl, ssdd, astm, csv, ...; by default told by the suffix of OUT")
     add_reading(parser)
+    add_bands(parser)
     parser.set_defaults(command=command)
 
 

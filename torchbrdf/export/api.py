@@ -109,6 +109,7 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
     if exporter.isotropic_only and isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic:
         to = EXPORTERS.name_of(type(exporter)) or type(exporter).__name__
         raise DataError(f"{material.name}: expected an isotropic material for {to}, found one with a grain")
+    check_bands(exporter, material)
     folder = writable(Path(out))
     for suffix in (exporter.suffix, *exporter.beside):
         path = material.path(folder, suffix)
@@ -119,6 +120,12 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
         done = _written(exporter, material, folder)
     rest = [] if done.exact else reach(material.brdf)
     return replace(done, notes=[*material.notes, *done.notes, *rest])
+
+
+def check_bands(exporter: Exporter, material: Material) -> None:
+    """Refuse bands of a measurement where an exporter writes linear RGB."""
+    if isinstance(material.brdf, Measured) and not exporter.keeps_bands:
+        material.brdf.check_rgb("export")
 
 
 def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
@@ -169,7 +176,6 @@ def material_of(
             own = brdf.names[0] if name is None else name
             record = brdf.source.records[brdf.materials[0]]
             return material_of(record, clean_name(own) if name is None else own, brdf.source.told)
-        brdf.check_rgb("export")
         return Material(clean_name(brdf.names[0]) if name is None else name, brdf.to("cpu"))
     if isinstance(brdf, Lobe):
         own = NAMELESS if name is None else check_name(name, "export: name")

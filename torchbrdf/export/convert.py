@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.export.api import find_exporter, material_of, sources
+from torchbrdf.export.api import check_bands, find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
 from torchbrdf.export.listing import has_grain, values_in_bands, wavelengths_of
 from torchbrdf.export.materials import find_materials
@@ -211,13 +211,14 @@ def _check_place(path: Path, read: Sequence[Path]) -> None:
 
 def _written(material: Material, path: Path, to: str, exporter: TableExporter) -> Converted:
     """A material in its file, which is there when it was read back."""
+    check_bands(exporter, material)
     writable(path.parent)
     with torch.no_grad(), replacing(path) as part, _named(part, path):
         exported = exporter.write_file(material, part)
         back = _read_back(part, material.brdf)
         samples, extrapolated = _beyond(material.brdf, back)
         median, high = _differences(material.brdf, back)
-    notes = [note.replace(str(part), str(path)) for note in exported.notes]
+    notes = [*material.notes, *(note.replace(str(part), str(path)) for note in exported.notes)]
     if has_grain(material.brdf) and not back.is_anisotropic:
         notes.append("the grain is lost: what is read back does not depend on the azimuth of the light")
     return Converted(material.name, path, to, exported.exact, notes, samples, extrapolated, median, high)

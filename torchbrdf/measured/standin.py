@@ -98,10 +98,8 @@ class StandIn(BrdfFormat):
 
     def select(self, materials: list[int]) -> "StandIn":
         """Some materials, with the names that they have here."""
-        rows = [(self.records[k], self.paths[k]) for k in materials]
-        return _named(
-            [one for one, _ in rows], [path for _, path in rows], self.told, [self.names[k] for k in materials]
-        )
+        records, names = ([own[k] for k in materials] for own in (self.records, self.names))
+        return _named(records, [self.paths[k] for k in materials] if self.paths else [], self.told, names)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records and names."""
