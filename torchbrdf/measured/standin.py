@@ -56,7 +56,8 @@ class StandIn(BrdfFormat):
 
     Each record gives a material, whose values are the model's, anywhere.
     `pairs` are MERL's bins, so that what was made for measured tables can be tried on models; whatever shows them
-    says that they are stand-ins. Where a lobe has a grain their half vectors lie at azimuths all round. A material with several fits in a file is named with the model, lobes and loss.
+    says that they are stand-ins. Where a lobe has a grain their half vectors lie at azimuths all
+    round. A material with several fits in a file is named with the model, lobes and loss.
     """
 
     format = "fits"
