@@ -155,7 +155,7 @@ def test_a_share_that_is_none_is_refused(text):
         (["fit", "zoo:nickel", "--device", "meta"], "--device: expected one of cpu, found 'meta'"),
         (
             ["fit", "zoo:nickel", "--executor", "sparks"],
-            "unknown --executor 'sparks'; expected one of dask, processes, threads",
+            "unknown --executor 'sparks'; expected one of dask, proc",
         ),
         (
             ["fit", "zoo:nickel", "--scheduler", "tcp://x:1"],

@@ -99,8 +99,8 @@ class StandIn(BrdfFormat):
 
     def select(self, materials: list[int]) -> "StandIn":
         """Some materials, with the names that they have here."""
-        records, names = ([own[k] for k in materials] for own in (self.records, self.names))
-        return _named(records, [self.paths[k] for k in materials] if self.paths else [], self.told, names)
+        paths = [self.paths[k] for k in materials] if self.paths else []
+        return _named([self.records[k] for k in materials], paths, self.told, [self.names[k] for k in materials])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records and names."""
