@@ -10,6 +10,7 @@ from helpers.listed_files import astm, bird, columns, cornell
 from torchbrdf import fit
 from torchbrdf.color import luminance
 from torchbrdf.errors import DataError, ShapeError, UsageError
+from torchbrdf.export import export
 from torchbrdf.export.api import material_of
 from torchbrdf.lobes import make_model
 from torchbrdf.measured import Measured, describe, load, load_all
@@ -93,7 +94,7 @@ def test_files_of_other_bands_are_groups_of_their_own(tmp_path):
         load(tmp_path / "a", bands="all")
 
 
-def test_pictures_and_tables_want_rgb():
+def test_pictures_and_tables_want_rgb(tmp_path):
     bands = Measured.from_samples(pairs_of(40), torch.ones(1, 40, 5), wavelengths=range(400, 900, 100))
     scene = Scene(sphere(2), size=8, nodes=8, light_samples=4)
     lobe = make_model("ward", 1, channels=5)
@@ -103,7 +104,7 @@ def test_pictures_and_tables_want_rgb():
         lambda: RenderedLoss(scene).problem(bands),
         lambda: fit(make_model("ward", 1), bands, RenderedLoss(scene)),
         lambda: values_at(bands, pairs_of(3)),
-        lambda: material_of(bands),
+        lambda: export(bands, "mitsuba", tmp_path),
         lambda: material_of(lobe),
     ):
         with pytest.raises(DataError, match=r"expected linear RGB, found .*5 (bands from 400 to 800 nm|channels)"):
