@@ -32,7 +32,8 @@ OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob
 OF_PICTURES = {RENDERED: OF_RENDERED, COMBINED: OF_RENDERED | {"size": 24}}
 
 DESCRIPTION = """\
-Fit a model to measured BRDFs: files (MERL, RGL, ASTM E1392, Cornell, Zemax, FRED, BiRD, CSV, fits.json) or folders.
+Fit a model to measured BRDFs: files of eighteen formats (MERL, RGL, ASTM E1392, CSV and others, told by their content),
+fits.json, or folders.
 
   torchbrdf fit nickel.binary --model ward --lobes 2
   torchbrdf fit MERL/ --model cook_torrance --loss cosine_rms --out fits/
