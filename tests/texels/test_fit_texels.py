@@ -132,6 +132,15 @@ def test_held_parameters_stay(scene):
     np.testing.assert_allclose(found["reflectance"], found["specular"] * 0.5)
 
 
+def test_a_shared_parameter_is_held_by_any_of_its_names(scene):
+    model = make_model("ggx:f0", 2)
+    for lobe in model.components()[1:]:
+        lobe.f0 = 0.25
+    found = fit_texels(scene.stack[:, :8, :8], scene.lights, model=model, held=("f0_2",), tile=8, max_iterations=10)
+    assert (found["f0_1"] == 0.25).all() and (found["f0_2"] == 0.25).all()
+    assert {"reflectance_1", "reflectance_2"} < set(found.names)
+
+
 @pytest.mark.parametrize(("model", "loss"), [("ward", "cosine_rms"), ("ggx", "cube_root"), ("gltf", "cosine_rms")])
 def test_other_models_and_losses(scene, model, loss):
     own = {"model": make_model(model, 1), "loss": make_loss(loss), "max_iterations": 30}

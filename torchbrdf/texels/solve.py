@@ -81,7 +81,9 @@ class TexelFit:
         """What solvers move."""
         free = free_parameters(self.model, range(len(self.model.components())))
         names = map_names(self.model)
-        return Parametrization(self.model, [one for one in free if names[one.name] not in self.held])
+        return Parametrization(
+            self.model, [one for one in free if not {names[own] for own in one.names} & {*self.held}]
+        )
 
     @undisturbed()
     def __call__(self, data: TileData) -> Maps:
