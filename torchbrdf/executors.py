@@ -134,7 +134,7 @@ class _Guests:
                     raise DataError(f"{self._name}: expected workers with this torchbrdf, found none")
         work = packed((key, call, data, workers.settings(torch.get_num_threads())), 2 * LARGEST_ITEM)
         try:
-            done_by = _in_any_process if self.client is None else _guest
+            done_by: Any = _in_any_process if self.client is None else _guest
             return self.executor.submit(done_by, _versions(), work, **own)
         except (RuntimeError, OSError) as error:  # shut down; dead; a client that was closed
             raise self._gone(error) from error
