@@ -31,6 +31,15 @@ Place = Executor | Literal["threads", "processes"] | None
 AHEAD = 3
 # Seconds between two looks at who is there to work, and until a scheduler has to have answered.
 LOOK, PATIENCE = 5.0, 10.0
+# A worker of Dask's that ends with its parent, however it ends.
+_WORKER = """import sys
+from torchbrdf.workers import end_with
+
+end_with(int(sys.argv.pop(1)))
+from distributed.cli.dask_worker import main
+
+main()
+"""
 
 logger = logging.getLogger("torchbrdf")
 
@@ -269,7 +278,7 @@ def _workers_here(cluster: Any) -> Iterator[str]:
     own = {"n_workers": 0, "processes": False, "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     with cluster(**own, protocol="tcp://", host="127.0.0.1") as made:
-        command = [sys.executable, "-m", "distributed.cli.dask_worker", made.scheduler_address, "--nthreads", "1"]
+        command = [sys.executable, "-c", _WORKER, str(os.getpid()), made.scheduler_address, "--nthreads", "1"]
         command += ["--no-nanny", "--no-dashboard", "--memory-limit", "0", "--death-timeout", "60"]
         workers = [
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
