@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -171,3 +173,17 @@ def test_a_scheduler_that_goes_away_is_one_line_and_the_rest_is_taken_up(files, 
             batches(out).run(load_later(files), progress, executor=executor)
     assert 0 < len(list((out / "fits").iterdir())) < 16
     assert plain(batches(out).run(load_later(files))) == serial
+
+
+@pytest.mark.slow
+def test_workers_on_this_machine_do_not_run_the_script_again(files, tmp_path):
+    pytest.importorskip("distributed")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\nfrom torchbrdf.cli import main\nprint('once', flush=True)\n"
+        f"sys.exit(main(['fit', {str(files[0].parent)!r}, '--lobes', '1', '--loss', 'rms', '--executor', 'dask', "
+        f"'--out', {str(tmp_path / 'out')!r}]))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0 and done.stdout.count("once") == 1, done.stderr
+    assert len(list((tmp_path / "out" / "fits").iterdir())) == 16

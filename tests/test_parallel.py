@@ -230,3 +230,13 @@ def test_a_script_without_a_guard_runs_once(tmp_path):
     )
     assert done.stdout == "began\n[0, 3, 6, 9]\n"
     assert done.stderr == ""
+
+
+def test_maps_within_a_map_stay_on_its_thread(two_threads):
+    def inner(k):
+        return threading.get_ident()
+
+    def outer(k):
+        return {threading.get_ident(), *thread_map(inner, range(3)), *process_map(inner, range(3))}
+
+    assert all(len(own) == 1 for own in thread_map(outer, range(6)))

@@ -4,10 +4,13 @@ import builtins
 import hashlib
 import importlib.util
 import logging
+import os
+import subprocess
+import sys
 import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import torch
@@ -28,6 +31,15 @@ Place = Executor | Literal["threads", "processes"] | None
 AHEAD = 3
 # Seconds between two looks at who is there to work, and until a scheduler has to have answered.
 LOOK, PATIENCE = 5.0, 10.0
+# A worker of Dask's that ends with its parent, however it ends.
+_WORKER = """import sys
+from torchbrdf.workers import end_with
+
+end_with(int(sys.argv.pop(1)))
+from distributed.cli.dask_worker import main
+
+main()
+"""
 
 logger = logging.getLogger("torchbrdf")
 
@@ -134,7 +146,7 @@ class _Guests:
                     raise DataError(f"{self._name}: expected workers with this torchbrdf, found none")
         work = packed((key, call, data, workers.settings(torch.get_num_threads())), 2 * LARGEST_ITEM)
         try:
-            done_by: Callable[..., Any] = _in_any_process if self.client is None else _guest
+            done_by: Any = _in_any_process if self.client is None else _guest
             return self.executor.submit(done_by, _versions(), work, **own)
         except (RuntimeError, OSError) as error:  # shut down; dead; a client that was closed
             raise self._gone(error) from error
@@ -246,19 +258,36 @@ def _dask(scheduler: str | None) -> Iterator[Executor]:
 
     for part in ("distributed", "distributed.client", "tornado", "asyncio"):  # which print pages about who is gone
         logging.getLogger(part).setLevel(logging.CRITICAL)
-    cluster = client = None
-    try:
+    with ExitStack() as stack:
         if scheduler is None:
-            count = torch.get_num_threads()
-            own = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
-            cluster = LocalCluster(n_workers=count, silence_logs=logging.CRITICAL, **own)
+            scheduler = stack.enter_context(_workers_here(LocalCluster))
         try:
-            client = Client(scheduler or cluster, timeout=PATIENCE)
+            client = stack.enter_context(Client(scheduler, timeout=PATIENCE))
         except (OSError, ValueError, TypeError) as error:
             reason = one_line(str(error), 120)
             raise DataError(f"{scheduler}: expected a Dask scheduler, found none ({reason})") from None
         yield client.get_executor(pure=False)
-    finally:
-        for one in (client, cluster):
-            if one is not None:
-                one.close(timeout=PATIENCE)
+
+
+@contextmanager
+def _workers_here(cluster: Any) -> Iterator[str]:
+    """The address of a scheduler in this process, with a worker for each core.
+
+    They are programs of their own: those that Dask starts import the user's `__main__`, which may fit again.
+    """
+    own = {"n_workers": 0, "processes": False, "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    with cluster(**own, protocol="tcp://", host="127.0.0.1") as made:
+        command = [sys.executable, "-c", _WORKER, str(os.getpid()), made.scheduler_address, "--nthreads", "1"]
+        command += ["--no-nanny", "--no-dashboard", "--memory-limit", "0", "--death-timeout", "60"]
+        workers = [
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+            for _ in range(torch.get_num_threads())
+        ]
+        try:
+            yield made.scheduler_address
+        finally:
+            for worker in workers:
+                worker.terminate()
+            for worker in workers:
+                worker.wait()

@@ -34,6 +34,7 @@ THREADS = "torchbrdf: working in threads, as processes cannot be given the work:
 
 logger = logging.getLogger("torchbrdf")
 
+_inside = threading.local()  # of a thread of a map: what it calls stays on it
 _spent = 0.0  # CPU seconds of threads that were work for processes
 
 
@@ -155,7 +156,10 @@ def _guard_forks() -> None:
 
 
 def _in_threads(function: Callable[[Item], Result], items: Iterable[Item], waiting: int) -> Iterator[Result]:
-    """As `thread_map`; no more than `waiting` items wait for a thread."""
+    """As `thread_map`; no more than `waiting` items wait for a thread. Within a thread of another map it is a loop."""
+    if getattr(_inside, "map", False):
+        yield from map(function, items)
+        return
     threads, crew, left = torch.get_num_threads(), _Crew(), enumerate(items)
     running: dict[Future[Result], int] = {}
     done: dict[int, Future[Result]] = {}
@@ -163,6 +167,7 @@ def _in_threads(function: Callable[[Item], Result], items: Iterable[Item], waiti
     _guard_forks()
 
     def run(item: Item) -> Result:
+        _inside.map = True  # the pool's threads are of this map only
         with crew, torch.no_grad():
             return function(item)
 

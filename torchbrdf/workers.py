@@ -98,7 +98,7 @@ class Workers:
                 count,
                 context=get_context("loky"),
                 timeout=_IDLE,
-                initializer=_initialize,
+                initializer=end_with,
                 initargs=(os.getpid(),),
                 env=environment,
             )
@@ -271,7 +271,7 @@ getattr(threading, "_register_atexit", atexit.register)(WORKERS.kill)
 _function: tuple[bytes, Callable[[Any], Any]] = (b"", int)
 
 
-def _initialize(parent: int) -> None:
+def end_with(parent: int) -> None:
     """End with the parent, however it ends, also while torch is being imported."""
     threading.Thread(target=_watch, args=(parent,), name="torchbrdf-parent", daemon=True).start()
 

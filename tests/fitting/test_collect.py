@@ -153,10 +153,7 @@ def test_a_share_that_is_none_is_refused(text):
         (["fit", "zoo:nickel", "--device", "cuda:7"], "--device: expected one of cpu, found 'cuda:7'"),
         (["fit", "zoo:nickel", "--device", "potato"], "--device: expected one of cpu, found 'potato'"),
         (["fit", "zoo:nickel", "--device", "meta"], "--device: expected one of cpu, found 'meta'"),
-        (
-            ["fit", "zoo:nickel", "--executor", "sparks"],
-            "unknown --executor 'sparks'; expected one of dask, proc",
-        ),
+        (["fit", "zoo:nickel", "--executor", "sparks"], "unknown --executor 'sparks'; expected one of dask"),
         (
             ["fit", "zoo:nickel", "--scheduler", "tcp://x:1"],
             "--scheduler: expected --executor dask with it, found none",
