@@ -91,7 +91,12 @@ class Fourier(ListedFormat):
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self._series: list[_Series] = []
         super().__init__(paths, settings)
-        self.names = [path.stem.removesuffix(".bsdf") for path in paths]
+        self.names = [self.name_of(path) for path in paths]
+
+    @classmethod
+    def name_of(cls, path: Path) -> str:
+        """Without the suffix below that of gzip."""
+        return path.stem.removesuffix(".bsdf")
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
