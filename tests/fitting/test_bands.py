@@ -164,7 +164,6 @@ def test_a_folder_has_fits_of_the_same_bands(tmp_path):
     _, five = made_up(5)
     settings = {"samples": 200, "max_theta": 80.0}
     Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **settings).run([five])
-    (tmp_path / "materials.json").unlink()
     with pytest.raises(DataError, match="paint was fitted in 5 bands from 400 to 440 nm, not linear RGB; give another"):
         Batches(make_model("ward", 1), RMSLoss(), out=tmp_path, **settings).run([five.to_rgb()])
 

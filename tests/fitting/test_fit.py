@@ -1,6 +1,7 @@
 """Fits: recovery of known parameters, the paper's procedure, statuses, files."""
 
 import copy
+import csv
 import json
 import math
 
@@ -212,8 +213,7 @@ def test_a_result_survives_its_file(tmp_path):
 def test_csv_is_flat(tmp_path):
     result = fit(make_model("ward", 2), measured_from(TRUTHS["ward"].double()), RMSLoss(), samples=300)
     write_fits_csv(tmp_path / "fits.csv", result.records())
-    header, line = (tmp_path / "fits.csv").read_text().splitlines()
-    row = dict(zip(header.split(","), line.split(","), strict=True))
+    (row,) = csv.DictReader((tmp_path / "fits.csv").read_text().splitlines())
     assert float(row["roughness_1"]) == result.records()[0].parameters["roughness"][1]
     assert float(row["specular_0_2"]) == result.records()[0].parameters["specular"][0][2]
 

@@ -148,3 +148,22 @@ def test_speed():
     prepared = time.process_time()
     measured.at(asked)
     assert prepared - began < 1.5 and time.process_time() - prepared < 1.5
+
+
+def test_mirror_directions_are_one_place_whatever_rounding_made_of_them():
+    """Half vectors along the normal, but for 1e-16, had values of their own, and others between."""
+    theta = torch.deg2rad(torch.tensor([5.0, 20, 20, 35, 50, 60], dtype=torch.float64))
+    wi, wo = (torch.stack([side * theta.sin(), 0 * theta, theta.cos()], -1) for side in (1, -1))
+    off = torch.tensor([0, 1e-16, 7e-17, 3e-17, 2e-16, 0], dtype=torch.float64)
+    wo = torch.nn.functional.normalize(wo + off[:, None], dim=-1)
+    values = torch.tensor([1.1, 2.1, 2.3, 0.5, 2.9, 3.4], dtype=torch.float64)[None, :, None].expand(1, 6, 3)
+    generator = torch.Generator().manual_seed(0)
+    drawn = torch.rand(3, 40, dtype=torch.float64, generator=generator) * torch.tensor([[0.6], [0.6], [3.0]])
+    around = Pairs.from_half_diff(*drawn)
+    pairs = Pairs.from_directions(torch.cat([wi, around.wi]), torch.cat([wo, around.wo]))
+    rest = torch.full((1, 40, 3), 0.2, dtype=torch.float64)
+    measured = Measured.from_samples(pairs, torch.cat([values, rest], 1), anisotropic=False)
+    for dtype in (torch.float32, torch.float64):
+        asked = torch.deg2rad(torch.tensor([20.0], dtype=dtype))
+        found = measured.at(Pairs.from_half_diff(torch.zeros_like(asked), asked, torch.zeros_like(asked)))
+        assert found.flatten()[0].item() == pytest.approx(2.2, rel=0.02)

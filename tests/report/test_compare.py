@@ -21,10 +21,12 @@ from torchbrdf.errors import DataError, UsageError
 from torchbrdf.experiment.comparison import find_subjects, scenes_of
 from torchbrdf.experiment.extrapolation import extrapolated_share, hatched, is_extrapolated
 from torchbrdf.experiment.slices import INCIDENCES, image_pairs, plane_pairs, slices_of, viewer_angles
-from torchbrdf.lobes import GGX, FitRecord, Lambert, Sum, parameters, write_fits
+from torchbrdf.lobes import GGX, FitRecord, GGXAnisotropic, Lambert, Sum, parameters, write_fits
 from torchbrdf.losses import LOSSES
-from torchbrdf.measured import load
-from torchbrdf.perception import told_apart
+from torchbrdf.measured import Measured, load
+from torchbrdf.measured.standin import all_round
+from torchbrdf.pairs import Pairs
+from torchbrdf.perception import told_apart, uniform_pairs
 from torchbrdf.render import Scene, sphere
 
 WICKED = "<script>document.title = 'taken'<!--"
@@ -271,3 +273,30 @@ def test_matches_and_views_say_what_was_never_measured(folder: Path) -> None:
     assert stripes(drawn.reference) > 1.5 * stripes(plain.reference)
     assert stripes(drawn.maps[0]) > 5 and stripes(drawn.fits[0]) < 1.5 * stripes(plain.fits[0])
     assert 0 < len(by_angle(judge, PAINT)) < len(by_angle(Judge(PAINT, {"ball": scene}), PAINT))
+
+
+def test_a_fit_with_a_grain_is_made_and_compared_by_the_commands(tmp_path, capsys):
+    pairs = all_round(uniform_pairs(3000, max_theta=70))
+    brushed = Sum(Lambert(albedo=0.2), GGXAnisotropic(specular=0.5, roughness_x=0.2, roughness_y=0.6, rotation=0.4))
+    values = brushed.double()(pairs.unsqueeze()).detach()[0]
+    places = [
+        part for one in (pairs.wi, pairs.wo) for part in (torch.acos(one[:, 2]), torch.atan2(one[:, 1], one[:, 0]))
+    ]
+    rows = torch.stack([*map(torch.rad2deg, places), *values.T], -1).tolist()
+    lines = [",".join(f"{number:.7g}" for number in row) for row in rows]
+    (tmp_path / "brushed.csv").write_text("\n".join(["theta_i,phi_i,theta_o,phi_o,r,g,b", *lines, ""]))
+    told = ["--read", "angles=degrees", "--read", "grain=anisotropic"]
+    file, out = str(tmp_path / "brushed.csv"), str(tmp_path / "out")
+    model = ["--model", "ggx_anisotropic", "--lobes", "1", "--samples", "1000", "--out", out]
+    assert main(["fit", file, *model, *told]) == 0
+    capsys.readouterr()
+    assert main(["compare", file, str(tmp_path / "out" / "fits.json"), *told]) == 0
+    assert "picture, " in capsys.readouterr().out
+
+
+def test_bands_are_not_taken_for_rgb():
+    angle = torch.full((1, 40), 0.3)
+    pairs = Pairs.from_half_diff(angle, angle, angle)
+    three = Measured.from_samples(pairs, torch.ones(1, 40, 3), wavelengths=[465, 525, 630])
+    with pytest.raises(DataError, match="expected linear RGB, found 3 bands of 465, 525, 630 nm: material0"):
+        torchbrdf.compare(three, three.to_rgb())

@@ -156,11 +156,11 @@ def test_one_bad_file_leaves_the_others(folder, tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["nowhere.binary"], 1, "left out: nowhere.binary"),
+        (["nowhere.binary"], 1, "nowhere.binary: no such file"),
         (["FITS", "--environment", "none"], 2, "expected light probes, found none"),
         (["FITS", "--environment", "grove", "none"], 2, "expected light probes, found none"),
         (["FITS", "--size", "1024", "--steps", "360", "--environment", *["grove"] * 3], 2, "pixels on a page"),
-        ([""], 1, "found an empty one"),
+        ([""], 1, "an empty path: no such file"),
         (["FITS", "--shape", "cube"], 1, "cube"),
         (["FITS", "--environment", "nowhere.hdr"], 1, "nowhere.hdr"),
         (["FITS", "--out", "FITS/view.html"], 1, "expected a folder or a new name, found a file"),

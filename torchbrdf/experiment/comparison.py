@@ -16,7 +16,9 @@ from torchbrdf.experiment.labels import model_label
 from torchbrdf.experiment.matching.judge import Brdf, Figures, Judge, values_of
 from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.losses import LOSSES
-from torchbrdf.measured import Measured, load_all
+from torchbrdf.measured import FORMATS, Measured, load_all
+from torchbrdf.measured.load import by_format, check_settings, find_files
+from torchbrdf.measured.standin import all_round
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import FORMULAS, Share, find_metric, told_apart, uniform_pairs
 from torchbrdf.render import Scene, blob, unseen_scenes
@@ -67,7 +69,8 @@ class Place:
     @property
     def words(self) -> str:
         """All of it in a sentence."""
-        one, two = (float(luminance(torch.tensor(own, device="cpu"))) for own in (self.reference, self.other))
+        both = torch.tensor([self.reference, self.other], dtype=torch.float32, device="cpu")
+        one, two = luminance(both).tolist()
         ratio = f", {100 * two / one:.0f} % of it" if one > 0 else ""
         return (
             f"{self.part}: light at {self.light:.0f}\u00b0, viewer at {self.viewer:.0f}\u00b0, "
@@ -124,6 +127,7 @@ def find_subjects(
     """
     groups: list[Measured] = []
     others: dict[int, list[Subject]] = {}
+    told = _told([one for one in sources if isinstance(one, str | os.PathLike)], settings)
     for source in sources:
         if isinstance(source, Measured):
             groups.append(source)
@@ -135,7 +139,7 @@ def find_subjects(
             others.setdefault(len(groups), []).append(Subject("a model", source))
         elif isinstance(source, str | os.PathLike):
             unread: list[DataError] = []
-            groups += load_all(source, bad=unread, settings=settings)
+            groups += load_all(source, bad=unread, settings=told[source])
             bad += unread
         else:
             raise UsageError(f"compare: expected files, materials, fits or lobes, found {shown(source)}")
@@ -146,6 +150,20 @@ def find_subjects(
         if group is not None:
             found += [Subject(next(items).label, group.batch([row])) for row in range(len(group))]
     return found
+
+
+def _told(
+    paths: Sequence[str | os.PathLike[str]], settings: Mapping[str, str] | None
+) -> dict[str | os.PathLike[str], dict[str, str]]:
+    """Of each path the settings that its files take; a UsageError for one that no file takes."""
+    kinds = {path: list(by_format(find_files(path, []), [])) if settings else [] for path in paths}
+    check_settings([name for names in kinds.values() for name in names], settings if any(kinds.values()) else None)
+    return {
+        path: {
+            key: value for key, value in (settings or {}).items() if any(key in FORMATS[name].settings for name in own)
+        }
+        for path, own in kinds.items()
+    }
 
 
 def compared(reference: Judge, name: str, subject: Subject, pairs: Pairs | None = None) -> Compared:
@@ -160,7 +178,7 @@ def compared(reference: Judge, name: str, subject: Subject, pairs: Pairs | None 
     Raises:
         DataError: A material has no values.
     """
-    pairs = (uniform_pairs() if pairs is None else pairs).unsqueeze().to(dtype=torch.float32)
+    pairs = all_round((uniform_pairs() if pairs is None else pairs).unsqueeze()).to(dtype=torch.float32)
     target, values = values_of(reference.measured, pairs), values_of(subject.brdf, pairs)
     if not values.isfinite().all() or not target.isfinite().all():
         raise DataError(f"{subject.label}, beside {name}: expected finite values, found others")

@@ -14,6 +14,7 @@ from torchbrdf.images import DIFFERENCES
 from torchbrdf.lobes import FitRecord
 from torchbrdf.losses import LOSSES, Loss, make_loss
 from torchbrdf.measured import Measured, StandIn, load, standins
+from torchbrdf.measured.standin import all_round
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import FORMULAS, BenchmarkData, Distances, find_metric, uniform_pairs
 from torchbrdf.perception.discrimination.calibration import (
@@ -120,7 +121,7 @@ def shares_of_fits(groups: list[Measured], records: list[FitRecord]) -> list[Sha
     known, loss, pairs = (
         discrimination_of(METRIC),
         make_loss(METRIC, "none"),
-        uniform_pairs(PAIRS).to(dtype=torch.float32),
+        all_round(uniform_pairs(PAIRS)).to(dtype=torch.float32),
     )
     if known is None:
         return [None] * len(records)

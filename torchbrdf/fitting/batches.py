@@ -313,6 +313,8 @@ class Batches:
         for key in OLD:
             if key == "diffuse" and self._may_be_fitted and record.diffuse == "fit":
                 continue
+            if key in ("max_theta", "seed") and getattr(record, key) is None:  # the file does not say
+                continue
             if getattr(record, key) != wanted[key]:
                 had = shown(getattr(record, key)) if getattr(record, key) != "" else "that the file does not say"
                 raise DataError(

@@ -268,6 +268,7 @@ def _nonnegative(lobes: np.ndarray, values: np.ndarray, scale: float, whole: np.
 
 def _curve(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Knots of a curve through values `(n, C)`: means over bins of as many each."""
+    place = np.round(place, 4)  # mirror directions are one place, whatever rounding made of them
     edges = np.unique(np.quantile(place, np.linspace(0, 1, _BINS + 1)))
     own = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, max(len(edges) - 2, 0))
     count = np.bincount(own)

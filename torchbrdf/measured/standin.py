@@ -77,7 +77,7 @@ class StandIn(BrdfFormat):
             record.material if materials.count(record.material) == 1 else _full_name(record) for record in records
         ]
         self.is_anisotropic = any(map(_has_grain, records))
-        self.pairs = _turned(bin_centers()) if self.is_anisotropic else bin_centers()
+        self.pairs = all_round(bin_centers()) if self.is_anisotropic else bin_centers()
         if self.told.get("bands") == KEEP:
             self._keep_bands()
         for record, where in zip(records, self._origins, strict=True):
@@ -236,10 +236,19 @@ def _named(records: list[FitRecord], paths: list[Path], told: Mapping[str, str],
     return found
 
 
-def _turned(pairs: Pairs) -> Pairs:
-    """The same pairs with half vectors at azimuths all round, in no order."""
-    phi_h = torch.arange(len(pairs), dtype=torch.float64, device="cpu") * _GOLDEN
-    return Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, phi_h.remainder(2 * math.pi)[None])
+def all_round(pairs: Pairs) -> Pairs:
+    """The same pairs with half vectors at azimuths all round, in no order: where a surface with a grain is compared.
+
+    Args:
+        pairs: `(..., N)`.
+
+    Example:
+        >>> angle = torch.tensor([0.1, 0.2])
+        >>> all_round(Pairs.from_half_diff(angle, angle, angle)).is_oriented
+        True
+    """
+    phi_h = torch.arange(len(pairs), dtype=torch.float64, device="cpu").mul(_GOLDEN).remainder(2 * math.pi)
+    return Pairs.from_half_diff(pairs.theta_h, pairs.theta_d, pairs.phi_d, phi_h.to(pairs.theta_h).expand(pairs.shape))
 
 
 def _full_name(record: FitRecord) -> str:

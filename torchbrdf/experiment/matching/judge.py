@@ -14,6 +14,7 @@ from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception.discrimination.psychometric import Share, told_apart
 from torchbrdf.render import Scene
+from torchbrdf.render.draw import render_directly
 
 Brdf = FitRecord | Lobe | Measured
 DECIDES = "delta_e76"
@@ -112,18 +113,30 @@ class Judge:
 
     @torch.no_grad()
     def _draw(self, brdf: Brdf, name: str) -> Tensor:
-        scene = self.scenes[name]
-        return (scene.transport @ values_of(brdf, scene.pairs))[0]
+        scene, own = self.scenes[name], _material(brdf)
+        if own.is_anisotropic:  # of which a scene's compact pairs do not know how the surface is turned
+            return render_directly([own], scene)[0]
+        return (scene.transport @ values_of(own, scene.pairs))[0]
 
 
 def values_of(brdf: Brdf, pairs: Pairs) -> Tensor:
-    """Values of one material, a fit or a measurement, `(1, N, 3)`, float32."""
-    if isinstance(brdf, Measured):
-        values = brdf.reciprocal_at(pairs)
-    else:
-        model = model_of([brdf], torch.float32) if isinstance(brdf, FitRecord) else brdf.to(dtype=torch.float32)
-        values = model(pairs)
+    """Values of one material, a fit or a measurement, `(1, N, 3)`, float32.
+
+    Where it has a grain and the pairs do not say how they lie to it, half vectors are along the tangent.
+    """
+    own = _material(brdf)
+    if own.is_anisotropic and not pairs.is_oriented:
+        pairs = Pairs.from_directions(pairs.wi, pairs.wo)
+    values = own.reciprocal_at(pairs) if isinstance(own, Measured) else own(pairs)
     return values.detach().float().reshape(1, len(pairs), 3)
+
+
+def _material(brdf: Brdf) -> Lobe | Measured:
+    """A measurement in linear RGB, or a model in float32."""
+    if isinstance(brdf, Measured):
+        brdf.check_rgb("pictures and comparisons")
+        return brdf
+    return model_of([brdf], torch.float32) if isinstance(brdf, FitRecord) else brdf.to(dtype=torch.float32)
 
 
 @dataclass(frozen=True)
