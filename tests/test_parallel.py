@@ -62,12 +62,17 @@ def test_little_work_is_done_in_threads(two_threads, monkeypatch):
 def test_much_work_moves_to_processes_once_they_have_started(two_threads, monkeypatch):
     monkeypatch.delenv("TORCHBRDF_PROCESSES", raising=False)
     monkeypatch.setattr(parallel, "WORTH", 0.5)
+    workers = Workers()  # none of which runs, whatever other tests have started
+    monkeypatch.setattr(parallel, "WORKERS", workers)
 
     def work(k):
         time.sleep(0.2)
         return k, os.getpid()
 
-    found = list(process_map(work, range(300)))
+    try:
+        found = list(process_map(work, range(300)))
+    finally:
+        workers.kill()
     assert [k for k, _ in found] == list(range(300))
     where = [process == os.getpid() for _, process in found]
     assert where[0] and not where[-1]

@@ -44,6 +44,7 @@ def test_samples_in_any_number_of_bands(channels):
         ([400, 500], "expected 3, one for each channel, found 2"),
         ([500, 400, 600], "expected numbers that grow, in nm"),
         ([-1, 400, 600], "expected numbers that grow, in nm"),
+        ([0.4, 0.5, 0.6], "expected numbers that grow, in nm"),
         ([400, float("nan"), 600], "expected numbers that grow, in nm"),
         ("rgb", "expected 3 numbers, in nm, found 'rgb'"),
         (5, "expected 3 numbers, in nm, found 5"),

@@ -369,3 +369,9 @@ def test_real_asphalt(data):
     # Somewhat brownish: all values of one wavelength are the same, and grow with it.
     red, green, blue = asphalt.values[0, 0].tolist()
     assert 1e-5 < blue < green < red < 3e-5
+
+
+def test_of_two_kinds_of_azimuths_it_is_said_which_was_believed(tmp_path):
+    path = tmp_path / "both.csv"
+    path.write_text("theta_i,theta_o,phi,phi_i,phi_o,f\n10,20,180,0,30,1\n20,30,180,0,30,2\n")
+    assert describe(path)["azimuths"] == "those of the columns phi_i and phi_o; phi was passed over"

@@ -34,6 +34,8 @@ COMPARED = 6000
 _ASKED = 50_000
 # Of the mean value: differences of smaller values are relative to it.
 _SMALL = 1e-3
+SAME = 1e-3
+"""Of what is exact, the largest relative difference of 95 % of directions, which rounding makes in text."""
 
 Source = Brdf | FitRecord | str | os.PathLike[str]
 
@@ -46,7 +48,7 @@ class Converted:
         material: Its name.
         path: The file.
         to: The format, as exporters are called.
-        exact: Whether it holds the measurement's own samples, or is its own file.
+        exact: Whether it holds the measurement's own samples, or is its own file, and what is read back is the same.
         notes: What was resampled, and what the format has no place for.
         samples: In the file, above the horizon.
         extrapolated: How many of them are more than 12 degrees from every sample of the original; None of a model,
@@ -221,7 +223,10 @@ def _written(material: Material, path: Path, to: str, exporter: TableExporter) -
     notes = [*material.notes, *(note.replace(str(part), str(path)) for note in exported.notes)]
     if has_grain(material.brdf) and not back.is_anisotropic:
         notes.append("the grain is lost: what is read back does not depend on the azimuth of the light")
-    return Converted(material.name, path, to, exported.exact, notes, samples, extrapolated, median, high)
+    exact = exported.exact and high <= SAME
+    if exported.exact and not exact:
+        notes = ["not exact: samples are as they were, values between them, as read back, are not", *notes]
+    return Converted(material.name, path, to, exact, notes, samples, extrapolated, median, high)
 
 
 @contextmanager

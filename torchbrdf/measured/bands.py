@@ -20,8 +20,8 @@ RGB, KEEP = BANDS
 
 VISIBLE = (380.0, 780.0)
 """Wavelengths, in nm, that colours are sums over."""
-LONGEST = 1e6
-"""No wavelength of a reflectance, in nm, is as long."""
+SHORTEST, LONGEST = 10.0, 1e6
+"""No wavelength of a reflectance, in nm, is as short, or as long: such numbers are micrometres or metres."""
 _STEP = 5.0
 # What columns of values are called.
 _PRIMARIES = (("r", "g", "b"), ("red", "green", "blue"))
@@ -72,7 +72,7 @@ def color_matching(wavelength: np.ndarray) -> np.ndarray:
 
 
 def checked_wavelengths(wavelengths: Sequence[float], channels: int) -> tuple[float, ...]:
-    """Wavelengths that are some: finite numbers above 0 that grow, one for each of so many channels.
+    """Wavelengths that are some: finite numbers above 10 that grow, one for each of so many channels.
 
     Args:
         wavelengths: Of the bands, nm.
@@ -92,7 +92,7 @@ def checked_wavelengths(wavelengths: Sequence[float], channels: int) -> tuple[fl
         raise ShapeError(f"wavelengths: expected {channels} numbers, in nm, found {shown(wavelengths)}") from None
     if len(found) != channels:
         raise ShapeError(f"wavelengths: expected {channels}, one for each channel, found {len(found)}")
-    if not all(0 < one < other for one, other in zip(found, (*found[1:], LONGEST), strict=True)):
+    if not all(SHORTEST < one < other for one, other in zip(found, (*found[1:], LONGEST), strict=True)):
         raise ShapeError(f"wavelengths: expected numbers that grow, in nm, found {shown(found)}")
     return found
 

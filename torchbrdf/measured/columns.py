@@ -69,6 +69,8 @@ class Columns(ListedFormat):
                 raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
         if {"phi_i", "phi_o"} <= set(names):
             phi_i, phi_o = column["phi_i"], column["phi_o"]
+            if "phi" in names:
+                facts["azimuths"] = "those of the columns phi_i and phi_o; phi was passed over"
         elif "phi" in names:
             phi_i, phi_o = 0 * column["phi"], column["phi"]
         else:
