@@ -13,7 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
 from torchbrdf.export.api import check_bands, find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
-from torchbrdf.export.listing import has_grain, values_in_bands, wavelengths_of
+from torchbrdf.export.listing import values_in_bands, wavelengths_of
 from torchbrdf.export.materials import find_materials
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.files import replacing, writable
@@ -221,7 +221,7 @@ def _written(material: Material, path: Path, to: str, exporter: TableExporter) -
         samples, extrapolated = _beyond(material.brdf, back)
         median, high = _differences(material.brdf, back)
     notes = [*material.notes, *(note.replace(str(part), str(path)) for note in exported.notes)]
-    if has_grain(material.brdf) and not back.is_anisotropic:
+    if material.brdf.is_anisotropic and not back.is_anisotropic:
         notes.append("the grain is lost: what is read back does not depend on the azimuth of the light")
     exact = exported.exact and high <= SAME
     if exported.exact and not exact:

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from torchbrdf.errors import DataError
 from torchbrdf.export.base import Brdf
-from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.tables import values_at
@@ -82,7 +81,7 @@ def listing(brdf: Brdf) -> Listing:
             angles[:, 3] -= angles[:, 1]
             angles[:, 1] = 0
         return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True)
-    pairs = _around_mirrors(has_grain(brdf))
+    pairs = _around_mirrors(brdf.is_anisotropic)
     return Listing(_angles(pairs), values_in_bands(brdf, pairs).numpy(), wavelengths, False)
 
 
@@ -101,12 +100,6 @@ def values_in_bands(brdf: Brdf, pairs: Pairs) -> Tensor:
 def wavelengths_of(brdf: Brdf) -> tuple[float, ...] | None:
     """Of the bands of a measurement, nm; None of anything else."""
     return brdf.wavelengths if isinstance(brdf, Measured) else None
-
-
-def has_grain(brdf: Brdf) -> bool:
-    """Whether a BRDF depends on the azimuth of the light."""
-    own = brdf.components() if isinstance(brdf, Lobe) else [brdf]
-    return any(getattr(one, "is_anisotropic", False) for one in own)
 
 
 def _angles(pairs: Pairs) -> np.ndarray:

@@ -11,7 +11,7 @@ import torch
 
 from torchbrdf.errors import one_line
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Material
-from torchbrdf.export.listing import has_grain, values_in_bands, wavelengths_of
+from torchbrdf.export.listing import values_in_bands, wavelengths_of
 from torchbrdf.export.tables import TableExporter, copied
 from torchbrdf.files import write_text
 from torchbrdf.measured import Measured, Ssdd, load
@@ -38,7 +38,7 @@ class SsddTable(TableExporter):
         brdf = material.brdf
         if isinstance(brdf, Measured) and isinstance(brdf.source, Ssdd):
             return copied(path, brdf)
-        axes = axes_of(has_grain(brdf))
+        axes = axes_of(brdf.is_anisotropic)
         values = grid_values(brdf, axes)
         write_text(path, _text(material, axes, values))
         size = " x ".join(str(len(axis)) for axis in axes if len(axis) > 1)

@@ -47,7 +47,7 @@ class InColors(BrdfFormat):
         self.source, self.illuminant = source, illuminant
         self.weights = weights_of(source.channels, source.wavelengths, illuminant, source.names[0])
         self.names, self.paths, self.stand_in = source.names, source.paths, source.stand_in
-        self.is_anisotropic = getattr(source, "is_anisotropic", False)
+        self.is_anisotropic = source.is_anisotropic
 
     @property
     def format(self) -> str:  # type: ignore[override]
