@@ -55,7 +55,8 @@ class ImageVsAnalytic(FitGridRecipe):
     )
 
     def __post_init__(self) -> None:
-        self.expect_names("rendered", "combined", "chosen_by", "differences")
+        optional = [key for key in ("combined", "chosen_by") if getattr(self, key)]  # `combined=` is without any
+        self.expect_names("rendered", *optional, "differences")
         for name in self.combined:
             LOSSES.check(name)
         for name in (*self.rendered, *self.chosen_by, *self.differences):

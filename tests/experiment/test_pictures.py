@@ -14,7 +14,7 @@ from torchbrdf.images import DIFFERENCES, ToneMap, read_image
 from torchbrdf.lobes import FitRecord, Lambert, Sum, Ward, parameters, read_fits, write_fits
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import load_all
-from torchbrdf.recipe import RunFolder
+from torchbrdf.recipe import RunFolder, configure
 from torchbrdf.recipes.image_vs_analytic import ImageVsAnalytic
 from torchbrdf.render import Camera, Environment, Scene, sphere
 
@@ -145,6 +145,15 @@ def test_differences_are_known_by_the_names_that_they_had(grid):
     with pytest.raises(UsageError, match="expected delta_e76 among them"):
         ImageVsAnalytic(differences=("flip",))
     assert difference_label("delta_e") == difference_label("delta_e76")
+
+
+def test_combined_losses_and_the_choice_by_pictures_can_be_left_out_losses_cannot():
+    recipe = configure(ImageVsAnalytic, {"combined": "", "chosen_by": ""})
+    assert recipe.combined == recipe.chosen_by == ()
+    with pytest.raises(UsageError, match="rendered: expected at least one name, found none"):
+        configure(ImageVsAnalytic, {"rendered": ""})
+    with pytest.raises(UsageError, match="combined: expected each name once, found 'learned' twice"):
+        configure(ImageVsAnalytic, {"combined": "learned,learned"})
 
 
 @pytest.mark.parametrize(
