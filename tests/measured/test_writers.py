@@ -99,6 +99,19 @@ def test_text_in_front_of_xml_is_said(tmp_path):
     )
 
 
+def test_elements_that_wrap_bsdf_cut_are_mended(tmp_path):
+    """That of 2015 wrote the source of all bands but the visible one without its first character."""
+    bands = {"CIE-X": 1.2, "Visible": 1.0, "CIE-Z": 0.6}
+    whole = window_xml([klems_block(band=band, scale=scale) for band, scale in bands.items()])
+    source = "</Wavelength>\n\t\tSourceSpectrum>CIE Illuminant D65 1nm.ssp</SourceSpectrum>\n"
+    cut = opened(tmp_path, whole.replace("</Wavelength>", source))
+    assert describe(tmp_path / "made-up.dat")["mended"] == "3 elements SourceSpectrum that begin without '<'"
+    assert torch.equal(
+        cut.values, opened(tmp_path, whole.replace("</Wavelength>", source.replace("S", "<S", 1))).values
+    )
+    assert (cut.values[..., 0] > cut.values[..., 2]).all() and "mended" not in describe(tmp_path / "made-up.dat")
+
+
 def test_a_basis_without_bounds_of_its_own_azimuths_is_refused(tmp_path):
     text = klems("two rings").replace(definition("two rings"), by_middles("two rings", (15, 60), ("", "")))
     with pytest.raises(
@@ -226,6 +239,16 @@ def test_angles_of_the_light_in_any_order(tmp_path):
         torch.testing.assert_close(mixed.values.max(), ordered.values.max())
         place = int(mixed.values[0, :, 1].argmax())
         torch.testing.assert_close(mixed.pairs.wi[0, place], ordered.pairs.wi[0, int(ordered.values[0, :, 1].argmax())])
+
+
+def test_wavelengths_at_which_nothing_is_reflected(tmp_path):
+    """Of such a one tables may be all 0."""
+    text = speos_spectral(shares=(0, 50, 80), f=lambda wi, wo: isotropic(wi, wo))
+    assert not opened(tmp_path, text, bands="keep").values[..., 0].any()
+    rows = [line for line in text.split("\n")]
+    at = rows.index("0", 7)
+    rows[at + 3 : at + 13] = [re.sub(r"\t[^\t]+", "\t0", row) for row in rows[at + 3 : at + 13]]
+    assert torch.equal(opened(tmp_path, "\n".join(rows)).values, opened(tmp_path, text, "plain").values)
 
 
 @pytest.mark.parametrize(

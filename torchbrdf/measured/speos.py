@@ -292,10 +292,10 @@ def _spectral(path: Path, cursor: TextCursor) -> Listed:
             (percent,) = cursor.numbers(1, "a reflectance in percent")
             (table,) = _of_reflection(cursor, _tables(cursor, 1))
             reflected = table.reflected(quantity)
-            if not (math.isfinite(percent) and percent >= 0 and reflected > 0):
+            if not (math.isfinite(percent) and percent >= 0 and (reflected > 0 or not percent)):
                 raise cursor.bad("a table that reflects something, and how much", f"{percent:g} and {reflected:g}")
             place, column = _samples(path, [table], [(0.0, light)])
-            columns.append(column * (percent / 100 / reflected))
+            columns.append(column * (percent / 100 / reflected if percent else 0))
             if len(columns) > 1 and not np.array_equal(place, angles[-1]):
                 raise cursor.bad("the same angles for all wavelengths", "others")
             if len(columns) == 1:

@@ -25,6 +25,8 @@ _UNITS = {"micrometer": 1e3, "micron": 1e3}
 _LENGTH = re.compile(r"(\d+(?:\.\d*)?) ?(?:nm)?")
 _ROOT = re.compile(r"<(?:[\w.-]+:)?WindowElement\b")
 _TREE = re.compile(rb"IncidentDataStructure[^<>]*>\s*TensorTree", re.IGNORECASE)
+# An element whose beginning Radiance's wrapBSDF of 2015 wrote without its first character.
+_CUT = re.compile(rb"(?<![</\w])SourceSpectrum>")
 # Lines of what a program said, as genBSDF does, in front of a file that it wrote to its output.
 _LINES_IN_FRONT = 5
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
@@ -214,10 +216,15 @@ def numbers(path: Path, where: str, text: str) -> np.ndarray:
 def _parsed(path: Path) -> tuple[ET.Element, str]:
     """The elements of a file, without prefixes of namespaces, and what was mended."""
     data = read_bytes(path, EXPECTED)
+    mended = []
     said, mark, rest = data.partition(b"<")
     in_front = said.removeprefix(b"\xef\xbb\xbf").strip()
     if mark and in_front and b"\0" not in said:
         data = mark + rest
+        mended.append(f"text in front of the XML passed over: {shown(in_front.decode('latin-1'), 60)}")
+    data, cut = _CUT.subn(b"<SourceSpectrum>", data)
+    if cut:
+        mended.append(f"{cut} elements SourceSpectrum that begin without '<'")
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -244,8 +251,7 @@ def _parsed(path: Path) -> tuple[ET.Element, str]:
     parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(data, True)
-        mended = f"text in front of the XML passed over: {shown(in_front.decode('latin-1'), 60)}" if in_front else ""
-        return builder.close(), mended
+        return builder.close(), "; ".join(mended)
     except (expat.ExpatError, LookupError, ValueError, AssertionError) as error:
         if isinstance(error, DataError):
             raise
