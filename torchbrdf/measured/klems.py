@@ -150,7 +150,8 @@ class Klems(WindowFormat):
     def gridded(self, path: Path) -> tuple[Listed, _Patches]:
         """What a file says."""
         document = read_window(path)
-        if document.structure.lower() not in ("columns", "rows"):
+        structure = document.structure.lower().removesuffix("s")
+        if structure not in ("column", "row"):
             found = shown(document.structure)
             raise DataError(f"{path}: IncidentDataStructure: expected Columns, Rows or a TensorTree, found {found}")
         chosen = self.chosen(path, document)
@@ -158,7 +159,7 @@ class Klems(WindowFormat):
         light, viewer, names = rings[0]
         if any((one.size, other.size) != (light.size, viewer.size) for one, other, _ in rings):
             raise DataError(f"{path}: expected values of all bands at the same patches, found others")
-        by_row = document.structure.lower() == "rows"
+        by_row = structure == "row"
         matrices = [_matrix(path, block, light.size, viewer.size, by_row) for block in chosen.blocks.values()]
         values = np.stack(matrices, -1)
         patches = _Patches(light, viewer, 1 if chosen.side == "back" else -1)
@@ -181,7 +182,7 @@ def _rings(path: Path, document: Document, block: Block) -> tuple[Rings, Rings, 
         defined[text_of(element, "AngleBasisName").lower()] = element
     found, names = [], []
     for which in ("ColumnAngleBasis", "RowAngleBasis"):
-        name = block.said(which)
+        name = block.said(which) or (next(iter(defined)) if len(defined) == 1 else "")
         names.append(name)
         own = defined.get(name.lower())
         if own is not None and (name.lower() not in _BASES or own.find("AngleBasisBlock/ThetaBounds") is not None):

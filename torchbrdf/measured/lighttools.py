@@ -110,6 +110,8 @@ class LightTools(ListedFormat):
             "content": shown(said["spectralcontent"]),
             "side": side + ("; --read side=front, side=back" if self.setting("side", "auto") == "auto" else ""),
         }
+        if unknown := {name: None for block in found for name in block.words if name not in _WORDS}:
+            facts["passed over"] = shown(", ".join(unknown))
         listed = np.radians(np.concatenate(angles))
         return Listed(listed, values, bands, self.setting("quantity", "brdf"), facts)
 
@@ -180,7 +182,7 @@ def _read(
 
 
 def _blocks(path: Path, lines: list[tuple[int, str]], at: int, size: int, header: Mapping[str, str]) -> list[_Block]:
-    """The blocks up to DataEnd, so many numbers in each; words of no other block are passed over."""
+    """The blocks up to DataEnd, so many numbers in each, with all words that they have."""
     given = {name: header[name] for name in _FOR_ALL if header.get(name)}
     blocks: list[_Block] = []
     words: dict[str, str] = {}
@@ -188,14 +190,15 @@ def _blocks(path: Path, lines: list[tuple[int, str]], at: int, size: int, header
         number, line = lines[at]
         name, *rest = line.split()
         at += 1
-        if name.lower() in _WORDS and len([one for one in rest if one.lower() not in _UNITS]) == 1:
-            words[name.lower()] = rest[0]
+        own = [one for one in rest if one.lower() not in _UNITS]
+        if name.isalpha() and name.lower() != "tis" and (len(own) == 1 or (own and name.lower() not in _WORDS)):
+            words[name.lower()] = own[0]
         elif name.lower() == "tis" and words:
             values, at = _numbers(path, lines, at, number, size)
             blocks.append(_Block(given | words, values))
             check_unpacked(path, _BYTES_A_SAMPLE * size * len(blocks))
             words = {}
-        elif not (name.isalpha() and rest and name.lower() not in (*_WORDS, "tis")):
+        else:
             expected = f"one of {', '.join(_WORDS)} and its value, or TIS"
             raise DataError(f"{path}: line {number}: expected {expected}, found {shown(line)}")
     if words or at == len(lines):
