@@ -119,7 +119,7 @@ def test_only_the_reflection_is_read(tmp_path):
         (speos().replace("10 19", "11 19", 1), "expected 20 numbers, theta and values, found 2"),
         (speos().replace("10 19", "-1 19", 1), "expected counts of theta and phi"),
         (speos().replace("10 19", "10 99999", 1), "expected counts of theta and phi"),
-        (speos().replace("5\t30\t60", "5\t60\t30", 1), "expected growing angles of the light"),
+        (speos().replace("5\t30\t60", "5\t30\t30", 1), "expected growing angles of the light"),
         (speos().replace("5\t30\t60", "5\t30\t99", 1), "expected growing angles of the light"),
         (speos().replace("\n20\t", "\nx\t", 1), "expected 20 numbers, theta and values, found 'x"),
         (speos(spectrum=((550, -5), (600, 5))), "expected reflectances from 0 % on"),

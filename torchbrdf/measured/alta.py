@@ -22,6 +22,7 @@ from torchbrdf.reading import check_unpacked, read_bytes
 _EXPECTED = "an ALTA file"
 _LINE = re.compile(r"#([A-Z_]+)(?:\s+(.*))?")
 _DIM = re.compile(rb"^\s*#DIM\b", re.MULTILINE)
+_FUNCTION = re.compile(rb"^\s*#(?:ALTA )?FUNC\b", re.MULTILINE)
 _BEGIN = b"#BEGIN_STREAM"
 # What values are, by PARAM_OUT; the quantity of the others is the setting's.
 _COSINE = "INV_STERADIAN_COSINE_FACTOR"
@@ -44,14 +45,14 @@ class Alta(ListedFormat):
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
-        """Whether it is a file of ALTA's, by `#DIM` in its header."""
-        if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"#"):
-            return False
-        try:
-            with path.open("rb") as file:
-                return _DIM.search(file.read(HEAD).replace(b"\r", b"\n")) is not None
-        except OSError:
-            return False
+        """Whether it is a file of ALTA's, by `#DIM` in its header, and not one of a function that was fitted."""
+        start = _start(path, head)
+        return _DIM.search(start) is not None and _FUNCTION.search(start) is None
+
+    @classmethod
+    def hint(cls, path: Path, head: bytes) -> str:
+        """That a file has a function, and no data."""
+        return "a function that ALTA fitted, and no data" if _FUNCTION.search(_start(path, head)) else ""
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
@@ -125,6 +126,17 @@ class Alta(ListedFormat):
                 rows = rows @ to_rec709("", XYZ).T
         quantity = "brdf_cosine" if name == _COSINE else "brdf"
         return rows, self.setting("quantity", quantity), name or "the file does not say (no PARAM_OUT)"
+
+
+def _start(path: Path, head: bytes) -> bytes:
+    """What a file that may be of ALTA's begins with; nothing of another one, or of one that cannot be read."""
+    if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"#"):
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD).replace(b"\r", b"\n")
+    except OSError:
+        return b""
 
 
 def _decoded(data: bytes) -> str:

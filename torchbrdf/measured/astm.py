@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.images.primaries import XYZ, to_rec709
 from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
@@ -24,6 +25,7 @@ _KEYS = (
 )
 _ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 _OTHER_NAMES = {"theta_r": "theta_s", "theta_o": "theta_s", "phi_r": "phi_s", "phi_o": "phi_s"}
+_XYZ = ["x", "y", "z"]
 _EXPECTED = "an ASTM E1392 file"
 
 
@@ -75,6 +77,9 @@ class Astm(ListedFormat):
         facts["angles"] = unit
         angles = np.stack([column[name] * factor for name in _ANGLES], -1)
         values = rows.numbers[:, bands]
+        if [names[k] for k in bands] == _XYZ:
+            values = values @ to_rec709("", XYZ).T
+            facts["tristimulus values"] = "made linear RGB (BT.709)"
         return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
 
 
@@ -89,6 +94,8 @@ def _bands(path: Path, names: Sequence[str]) -> tuple[list[int], list[float] | N
     if missing:
         raise DataError(f"{path}: VARS: expected {', '.join(_ANGLES)} once each, found {shown(' '.join(names), 90)}")
     columns = [k for k, name in enumerate(names) if name not in _ANGLES]
+    if sorted(names[k] for k in columns) == _XYZ:
+        return sorted(columns, key=lambda k: names[k]), None
     found = columns_of_bands([names[k] for k in columns])
     if found is None:
         other = " ".join(names[k] for k in columns)

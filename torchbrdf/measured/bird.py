@@ -23,10 +23,16 @@ _VALUE_UNITS = ("sr^-1", "1/sr")
 
 
 class _Variable(msgspec.Struct):
-    """A variable of a file: a number for each sample."""
+    """A variable of a file: a number for each sample, which one writer calls `value`."""
 
-    values: list[float]
+    values: list[float] = []
+    value: list[float] = []
     unit: str = ""
+
+    @property
+    def numbers(self) -> list[float]:
+        """The number for each sample."""
+        return self.values or self.value
 
 
 class _Data(msgspec.Struct):
@@ -67,23 +73,25 @@ class Bird(ListedFormat):
         document: _Document = read_json(path, _Document, _EXPECTED)
         data = document.data
         named = {"theta_i": data.theta_i, "phi_i": data.phi_i, "theta_r": data.theta_r, "phi_r": data.phi_r}
-        count = len(data.brdf.values)
+        count = len(data.brdf.numbers)
+        if not count:
+            raise DataError(f"{path}: BRDF: expected values, found none")
         length = data.wavelength_i or data.wavelength_r
         for name, one in (named | ({"wavelength": length} if length else {})).items():
-            if len(one.values) != count:
-                raise DataError(f"{path}: {name}: expected {count} values as of BRDF, found {len(one.values)}")
+            if len(one.numbers) != count:
+                raise DataError(f"{path}: {name}: expected {count} values as of BRDF, found {len(one.numbers)}")
         units = {one.unit for one in named.values()}
         if len(units) != 1 or not units <= set(_ANGLE_UNITS) or data.brdf.unit not in _VALUE_UNITS:
             found = shown(" ".join([*sorted(units), data.brdf.unit]))
             raise DataError(f"{path}: expected angles in ° or rad and BRDF in sr^-1, found {found}")
         if length and length.unit not in _LENGTH_UNITS:
             raise DataError(f"{path}: wavelength: expected nm or μm, found {shown(length.unit)}")
-        angles = np.array([one.values for one in named.values()], np.float64).T
+        angles = np.array([one.numbers for one in named.values()], np.float64).T
         factor, unit = in_radians(path, angles[:, ::2], angles[:, 1::2], _ANGLE_UNITS[units.pop()])
         facts: dict[str, object] = {"angles": unit}
-        values = np.array(data.brdf.values, np.float64)
-        if not length or not count:
+        values = np.array(data.brdf.numbers, np.float64)
+        if not length:
             return Listed(angles * factor, values[:, None], None, facts=facts)
-        lengths = np.array(length.values, np.float64) * _LENGTH_UNITS[length.unit]
+        lengths = np.array(length.numbers, np.float64) * _LENGTH_UNITS[length.unit]
         each = spectra(path, angles, lengths, values)  # the mean over what else differs, such as polarization
         return Listed(each.places * factor, each.values, each.wavelengths, facts=facts | each.facts)

@@ -1,5 +1,6 @@
 """Tables of scatter that FRED takes: for each angle of the light rows of a polar angle, an azimuth and a value."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from torchbrdf.measured.listed import Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
 
 _EXPECTED = "a FRED scatter table"
+_SAID = re.compile(r"(\w+)\s*=\s*(\S+)")
 _UNITS = {"deg": "degrees", "rad": "radians"}
 
 
@@ -34,7 +36,7 @@ class Fred(ListedFormat):
         at = next((k for k, line in enumerate(lines) if line.lower().startswith("format")), None)
         if at is None:
             raise DataError(f"{path}: expected a line 'format', found none")
-        said = dict(word.lower().split("=", 1) for word in lines[at].split()[1:] if "=" in word)
+        said = dict(_SAID.findall(lines[at].lower()))
         if said.get("bsdf", "value") != "value" or said.get("angles", "") not in _UNITS:
             expected = "expected angles=deg or angles=rad, and bsdf=value"
             raise DataError(f"{path}: format: {expected}, found {shown(lines[at])}")
@@ -43,7 +45,7 @@ class Fred(ListedFormat):
         rows: list[str] = []
         began = before = 0
         for number, line in enumerate(lines[at + 1 :], at + 2):
-            words = line.split()
+            words = _words(line)
             if line and line[0] != "#":
                 if len(words) not in (2, 3) or (len(words) == 3 and not light):
                     raise DataError(
@@ -60,6 +62,13 @@ class Fred(ListedFormat):
         angles = found[:, :4] * factor + np.array([0, np.pi, 0, 0])
         facts = {"angles": f"{unit}; the mirror direction has the light's azimuth"}
         return Listed(angles, found[:, 4:] * scale, None, facts=facts)
+
+
+def _words(line: str) -> list[str]:
+    """What blanks part, or commas where no blanks are but behind these."""
+    words = line.split()
+    parted = len(words) == 1 or all(word.endswith(",") for word in words[:-1])
+    return [part for part in re.split(r"[,\s]+", line) if part] if parted else words
 
 
 def _check_rows(path: Path, began: int, count: int) -> None:

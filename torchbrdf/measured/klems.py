@@ -7,7 +7,7 @@ BSDF XML schema; the frame is that of Radiance (G. Ward).
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -16,10 +16,11 @@ from torch import Tensor
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.format import FORMATS, Interpolation
 from torchbrdf.measured.gridded import crossed, polar
-from torchbrdf.measured.listed import Listed
+from torchbrdf.measured.listed import SETTINGS, Listed
 from torchbrdf.measured.tristimulus import rgb_of_reflected
 from torchbrdf.measured.window import (
-    TRISTIMULUS,
+    BANDS,
+    SPECTRAL,
     Block,
     Document,
     WindowFormat,
@@ -133,7 +134,13 @@ class Klems(WindowFormat):
     """
 
     format = "klems"
-    has_colors = True
+    colors = ("cie-x", "visible", "cie-z")
+    has_spectra = True
+    settings: ClassVar = {
+        **WindowFormat.settings,
+        "band": ("auto", *BANDS, SPECTRAL),
+        **{name: SETTINGS[name] for name in ("bands", "illuminant")},
+    }
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -143,15 +150,16 @@ class Klems(WindowFormat):
     def gridded(self, path: Path) -> tuple[Listed, _Patches]:
         """What a file says."""
         document = read_window(path)
-        if document.structure.lower() not in ("columns", "rows"):
+        structure = document.structure.lower().removesuffix("s")
+        if structure not in ("column", "row"):
             found = shown(document.structure)
             raise DataError(f"{path}: IncidentDataStructure: expected Columns, Rows or a TensorTree, found {found}")
         chosen = self.chosen(path, document)
         rings = [_rings(path, document, block) for block in chosen.blocks.values()]
         light, viewer, names = rings[0]
         if any((one.size, other.size) != (light.size, viewer.size) for one, other, _ in rings):
-            raise DataError(f"{path}: expected tristimulus values of the same patches, found others")
-        by_row = document.structure.lower() == "rows"
+            raise DataError(f"{path}: expected values of all bands at the same patches, found others")
+        by_row = structure == "row"
         matrices = [_matrix(path, block, light.size, viewer.size, by_row) for block in chosen.blocks.values()]
         values = np.stack(matrices, -1)
         patches = _Patches(light, viewer, 1 if chosen.side == "back" else -1)
@@ -160,10 +168,11 @@ class Klems(WindowFormat):
             "values": "means over patches; between their middles linear in the angles",
             **chosen.facts,
         }
-        if len(matrices) == len(TRISTIMULUS):
+        if tuple(chosen.blocks) == self.colors:
             values = rgb_of_reflected(values)
             facts["tristimulus values"] = "made linear RGB (BT.709); what reflects all alike is white"
-        return Listed(patches.angles(), values, None, self.setting("quantity", "brdf"), facts), patches
+        listed = Listed(patches.angles(), values, chosen.wavelengths, self.setting("quantity", "brdf"), facts)
+        return listed, patches
 
 
 def _rings(path: Path, document: Document, block: Block) -> tuple[Rings, Rings, str]:
@@ -173,10 +182,11 @@ def _rings(path: Path, document: Document, block: Block) -> tuple[Rings, Rings, 
         defined[text_of(element, "AngleBasisName").lower()] = element
     found, names = [], []
     for which in ("ColumnAngleBasis", "RowAngleBasis"):
-        name = block.said(which)
+        name = block.said(which) or (next(iter(defined)) if len(defined) == 1 else "")
         names.append(name)
-        if name.lower() in defined:
-            found.append(_defined(path, name, defined[name.lower()]))
+        own = defined.get(name.lower())
+        if own is not None and (name.lower() not in _BASES or own.find("AngleBasisBlock/ThetaBounds") is not None):
+            found.append(_defined(path, name, own))
         elif name.lower() in _BASES:
             found.append(Rings(*_BASES[name.lower()]))
         else:
@@ -190,21 +200,40 @@ def _defined(path: Path, name: str, element: ET.Element) -> Rings:
     where = f"AngleBasis {shown(name)}"
     bounds: list[float] = []
     counts: list[int] = []
-    for block in element.findall("AngleBasisBlock"):
-        texts = [text_of(block, one) for one in ("ThetaBounds/LowerTheta", "ThetaBounds/UpperTheta", "nPhis")]
-        found = numbers(path, where, " ".join(texts))
+    rings = element.findall("AngleBasisBlock")
+    given = any(ring.find("ThetaBounds") is not None for ring in rings)
+    limits = [_limits(path, where, ring) for ring in rings] if given else _by_middles(path, where, rings)
+    for ring, limit in zip(rings, limits, strict=True):
+        count = text_of(ring, "nPhis")
+        found = [*limit, *numbers(path, where, count)]
         before = bounds[-1] if bounds else 0.0
-        good = (
-            len(found) == len(texts) and abs(found[0] - before) <= _TOLERANCE and before < found[1] <= 90 + _TOLERANCE
-        )
+        good = len(found) == 3 and abs(found[0] - before) <= _TOLERANCE and before < found[1] <= 90 + _TOLERANCE
         if not (good and found[2] >= 1 and found[2] == math.floor(found[2]) and found[2] <= _MOST_PATCHES):
             expected = f"expected a ring from {before:g} degrees on and its count of patches"
-            raise DataError(f"{path}: {where}: {expected}, found {shown(' '.join(texts))}")
+            raise DataError(f"{path}: {where}: {expected}, found {shown(' '.join([*map(str, limit), count]))}")
         bounds.append(min(float(found[1]), 90.0))
         counts.append(int(found[2]))
     if not 0 < sum(counts) <= _MOST_PATCHES:
         raise DataError(f"{path}: {where}: expected 1 to {_MOST_PATCHES} patches, found {sum(counts)}")
     return Rings(tuple(bounds), tuple(counts))
+
+
+def _limits(path: Path, where: str, ring: ET.Element) -> list[float]:
+    """Where a ring begins and ends, degrees; that of the normal may begin below 0."""
+    texts = [text_of(ring, f"ThetaBounds/{one}") for one in ("LowerTheta", "UpperTheta")]
+    found = numbers(path, where, " ".join(texts)).tolist()
+    return [max(found[0], 0.0), *found[1:]] if found else []
+
+
+def _by_middles(path: Path, where: str, rings: list[ET.Element]) -> list[list[float]]:
+    """The same by the middles of rings, from the horizon on: a file needs not give more."""
+    middles = numbers(path, where, " ".join(text_of(ring, "Theta") for ring in rings))
+    limits: list[list[float]] = []
+    end = 90.0
+    for middle in middles[::-1]:
+        limits.append([max(2 * middle - end, 0.0), end])
+        end = 2 * middle - end
+    return limits[::-1] if len(limits) == len(rings) else [[]] * len(rings)
 
 
 def _matrix(path: Path, block: Block, light: int, viewer: int, by_row: bool) -> np.ndarray:

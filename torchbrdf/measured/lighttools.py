@@ -4,6 +4,7 @@ Source: what libbsdf (R. Kimura) reads of it; no file of LightTools' own was at 
 """
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -22,6 +23,9 @@ _SYMMETRIES = ("planesymmetrical", "asymmetric", "asymmetrical")
 _CONTENTS = ("monochrome", "xyz")
 _TRISTIMULUS = ("trisx", "trisy", "trisz")
 _WORDS = ("aoi", "poi", "side", "wavelength", "scattertype", "tristimulusvalue")
+# A header may say these for all blocks.
+_FOR_ALL = ("side", "scattertype", "wavelength")
+_UNITS = ("deg", "degrees", "nm")
 _MOST_ANGLES = 10_000
 # Of a number while it is read, and of a sample.
 _BYTES_A_SAMPLE = 300
@@ -70,7 +74,8 @@ class LightTools(ListedFormat):
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
-        lines = [(k, line) for k, line in enumerate(text_lines(path, _EXPECTED), 1) if line and line[0] != "#"]
+        bare = (line.partition("#")[0].strip() for line in text_lines(path, _EXPECTED))
+        lines = [(k, line) for k, line in enumerate(bare, 1) if line]
         said, axes, blocks = _read(path, lines)
         found = self._reflections(path, blocks)
         groups: dict[tuple[float, float], dict[str, _Block]] = {}
@@ -105,6 +110,8 @@ class LightTools(ListedFormat):
             "content": shown(said["spectralcontent"]),
             "side": side + ("; --read side=front, side=back" if self.setting("side", "auto") == "auto" else ""),
         }
+        if unknown := {name: None for block in found for name in block.words if name not in _WORDS}:
+            facts["passed over"] = shown(", ".join(unknown))
         listed = np.radians(np.concatenate(angles))
         return Listed(listed, values, bands, self.setting("quantity", "brdf"), facts)
 
@@ -157,7 +164,8 @@ def _read(
     at = 0
     while at < len(lines) and lines[at][1].lower() != "databegin":
         number, line = lines[at]
-        word, _, rest = line.partition(" ") if "\t" not in line else line.partition("\t")
+        word, *more = line.split(None, 1)
+        rest = more[0] if more else ""
         at += 1
         if word.lower() in ("scatterazimuth", "scatterradial"):
             largest = 360 if word.lower() == "scatterazimuth" else 90
@@ -170,22 +178,24 @@ def _read(
         found = shown(f"{said.get('symmetry')}, {said.get('spectralcontent')}")
         raise DataError(f"{path}: expected a known Symmetry, and Monochrome or XYZ, found {found}")
     both = axes["scatterazimuth"], axes["scatterradial"]
-    return said, both, _blocks(path, lines, at + 1, len(both[0]) * len(both[1]))
+    return said, both, _blocks(path, lines, at + 1, len(both[0]) * len(both[1]), said)
 
 
-def _blocks(path: Path, lines: list[tuple[int, str]], at: int, size: int) -> list[_Block]:
-    """The blocks up to DataEnd, so many numbers in each."""
+def _blocks(path: Path, lines: list[tuple[int, str]], at: int, size: int, header: Mapping[str, str]) -> list[_Block]:
+    """The blocks up to DataEnd, so many numbers in each, with all words that they have."""
+    given = {name: header[name] for name in _FOR_ALL if header.get(name)}
     blocks: list[_Block] = []
     words: dict[str, str] = {}
     while at < len(lines) and lines[at][1].lower() != "dataend":
         number, line = lines[at]
         name, *rest = line.split()
         at += 1
-        if name.lower() in _WORDS and len(rest) == 1:
-            words[name.lower()] = rest[0]
+        own = [one for one in rest if one.lower() not in _UNITS]
+        if name.isalpha() and name.lower() != "tis" and (len(own) == 1 or (own and name.lower() not in _WORDS)):
+            words[name.lower()] = own[0]
         elif name.lower() == "tis" and words:
             values, at = _numbers(path, lines, at, number, size)
-            blocks.append(_Block(words, values))
+            blocks.append(_Block(given | words, values))
             check_unpacked(path, _BYTES_A_SAMPLE * size * len(blocks))
             words = {}
         else:
@@ -199,8 +209,11 @@ def _blocks(path: Path, lines: list[tuple[int, str]], at: int, size: int) -> lis
 def _axis(
     path: Path, lines: list[tuple[int, str]], at: int, number: int, said: str, largest: float
 ) -> tuple[np.ndarray, int]:
-    """Growing angles in degrees, as many as is said."""
-    said = said.strip()
+    """Growing angles in degrees, as many as is said; they begin on the next line, or behind their count."""
+    said, *begun = said.split(None, 1) or [""]
+    if begun:
+        at -= 1
+        lines = [*lines[:at], (number, begun[0]), *lines[at + 1 :]]
     if not (said.isascii() and said.isdigit() and len(said) < 9 and 0 < int(said) <= _MOST_ANGLES):
         raise DataError(f"{path}: line {number}: expected a count of angles, found {shown(said)}")
     found, at = _numbers(path, lines, at, number, int(said))

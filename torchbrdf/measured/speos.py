@@ -147,6 +147,12 @@ def _angles(cursor: Cursor, found: np.ndarray, what: str, largest: float) -> np.
     return found
 
 
+def _lights(cursor: Cursor, found: np.ndarray) -> np.ndarray:
+    """Angles of the light in degrees, in the order of their tables; none comes twice."""
+    _angles(cursor, np.sort(found), "of the light", 90)
+    return found
+
+
 def _tables(cursor: Cursor, count: int) -> list[_Table]:
     """So many tables."""
     tables = []
@@ -192,7 +198,7 @@ def _anisotropic(path: Path, cursor: Cursor) -> Listed:
     parts = []
     for _ in range(reflects + transmits):
         turns = _angles(cursor, cursor.array("of the grain"), "of the grain", 360)
-        lights = [_angles(cursor, cursor.array("of the light"), "of the light", 90) for _ in turns]
+        lights = [_lights(cursor, cursor.array("of the light")) for _ in turns]
         parts.append((turns, lights))
     spectra = []
     for _ in parts:
@@ -231,8 +237,9 @@ def _factor(
     turn = int(np.abs(turns - at[1]).argmin())
     first = sum(map(len, lights[:turn]))
     own = tables[first : first + len(lights[turn])]
-    reflected = [table.reflected(quantity) for table in own]
-    found = float(np.interp(at[0], lights[turn], reflected))
+    reflected = np.array([table.reflected(quantity) for table in own])
+    order = np.argsort(lights[turn])
+    found = float(np.interp(at[0], lights[turn][order], reflected[order]))
     if not (math.isfinite(found) and found > 0):
         raise cursor.bad("tables that reflect something", f"{found:g}")
     return 1 / found
@@ -274,7 +281,7 @@ def _spectral(path: Path, cursor: TextCursor) -> Listed:
     if not reflects:
         raise DataError(f"{path}: expected a reflection, found {'only a transmission' if transmits else 'none'}")
     size, bands = cursor.counts(2, "of angles of the light and wavelengths")
-    lights = _angles(cursor, cursor.numbers(size, "angles of the light"), "of the light", 90)
+    lights = _lights(cursor, cursor.numbers(size, "angles of the light"))
     waves = _wavelengths(cursor, cursor.numbers(bands, "wavelengths"))
     quantity = _QUANTITIES[int(kind)]
     angles: list[np.ndarray] = []
@@ -285,10 +292,10 @@ def _spectral(path: Path, cursor: TextCursor) -> Listed:
             (percent,) = cursor.numbers(1, "a reflectance in percent")
             (table,) = _of_reflection(cursor, _tables(cursor, 1))
             reflected = table.reflected(quantity)
-            if not (math.isfinite(percent) and percent >= 0 and reflected > 0):
+            if not (math.isfinite(percent) and percent >= 0 and (reflected > 0 or not percent)):
                 raise cursor.bad("a table that reflects something, and how much", f"{percent:g} and {reflected:g}")
             place, column = _samples(path, [table], [(0.0, light)])
-            columns.append(column * (percent / 100 / reflected))
+            columns.append(column * (percent / 100 / reflected if percent else 0))
             if len(columns) > 1 and not np.array_equal(place, angles[-1]):
                 raise cursor.bad("the same angles for all wavelengths", "others")
             if len(columns) == 1:

@@ -32,11 +32,13 @@ class TextCursor:
         return self._lines[self._at - 1] if self._at <= len(self._lines) else ""
 
     def skip_text(self) -> None:
-        """A line with a count of characters, and so many of them on the lines that follow."""
+        """A line with a count of characters, and so many of them on the lines that follow; of none, an empty line."""
         said = self.line().strip()
         if not (said.isascii() and said.isdigit() and len(said) < 9):
             raise self.bad("a count of characters", said)
         left = int(said)
+        if not left and self._lines[self._at : self._at + 1] != [""]:
+            return
         while True:
             left -= len(self.line()) + 1
             if left < 0 or self._at > len(self._lines):

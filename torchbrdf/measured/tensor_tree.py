@@ -16,6 +16,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.format import FORMATS, Interpolation
 from torchbrdf.measured.listed import Listed
+from torchbrdf.measured.tristimulus import rgb_of_reflected
 from torchbrdf.measured.window import Block, WindowFormat, is_tree, is_window, numbers, read_window
 from torchbrdf.reading import check_unpacked
 
@@ -147,6 +148,12 @@ class _Leaves:
         """Of the cells, `(N, 1)`."""
         return self.tree.values[self._used, None]
 
+    def of(self, other: Tree) -> np.ndarray:
+        """What another tree has at the middles of cells, `(N,)`."""
+        middle = (self.tree.low + self.tree.width[:, None] / 2)[self._used]
+        found: np.ndarray = other.values[other.cells(torch.from_numpy(middle)).numpy()]
+        return found
+
     def angles(self) -> np.ndarray:
         """theta_i, phi_i, theta_o, phi_o of the middles of cells, radians, `(N, 4)`."""
         low, width = self.tree.low[self._used], self.tree.width[self._used]
@@ -199,12 +206,14 @@ def _square(disk: Tensor) -> Tensor:
 
 @FORMATS.register("tensor_tree")
 class TensorTree(WindowFormat):
-    """The format of Radiance's tensor trees, isotropic (rank 3) or anisotropic (rank 4); one band, read as grey.
+    """The format of Radiance's tensor trees, isotropic (rank 3) or anisotropic (rank 4), grey or in colour.
 
-    Values are constant in each cell of the tree.
+    Values are constant in each cell of the tree. Colours are in trees of their own, the chromaticities u' and v' of
+    CIE 1976; a cell has those of its middle.
     """
 
     format = "tensor_tree"
+    colors = ("visible", "cie-u", "cie-v")
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
@@ -219,8 +228,7 @@ class TensorTree(WindowFormat):
             found = shown(document.structure)
             raise DataError(f"{path}: IncidentDataStructure: expected TensorTree3 or TensorTree4, found {found}")
         chosen = self.chosen(path, document)
-        block = chosen.blocks.get("visible") or next(iter(chosen.blocks.values()))
-        tree = _tree(path, block, rank)
+        tree, *chromaticity = (_tree(path, block, rank) for block in chosen.blocks.values())
         leaves = _Leaves(tree, 1 if chosen.side == "back" else -1)
         finest, coarsest = (round(1 / width) for width in (tree.width.min(), tree.width.max()))
         facts = {
@@ -228,7 +236,19 @@ class TensorTree(WindowFormat):
             "tree": f"rank {rank}, {len(leaves.values())} cells of 1/{finest} to 1/{coarsest}; constant in each",
             **chosen.facts,
         }
-        return Listed(leaves.angles(), leaves.values(), None, self.setting("quantity", "brdf"), facts), leaves
+        values = leaves.values()
+        if chromaticity:
+            values = rgb_of_reflected(_tristimulus(values[:, 0], *map(leaves.of, chromaticity)))
+            facts["chromaticities"] = "of the middle of each cell; made linear RGB (BT.709); what reflects all is white"
+        return Listed(leaves.angles(), values, None, self.setting("quantity", "brdf"), facts), leaves
+
+
+def _tristimulus(luminance: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """X, Y and Z `(N, 3)` of luminance and u', v'; what reflects nothing is black, nan where these are none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = luminance * np.stack([9 * u / (4 * v), np.ones_like(v), (12 - 3 * u - 20 * v) / (4 * v)])
+    known = (u >= 0) & (v > 0) & (3 * u + 20 * v <= 12)
+    return np.where(luminance == 0, 0, np.where(known, found, np.nan)).T
 
 
 def _tree(path: Path, block: Block, rank: int) -> Tree:

@@ -2,6 +2,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 from xml.parsers import expat
@@ -9,6 +10,7 @@ from xml.parsers import expat
 import numpy as np
 
 from torchbrdf.errors import DataError, shown
+from torchbrdf.measured.bands import LONGEST
 from torchbrdf.measured.gridded import GriddedFormat
 from torchbrdf.measured.listed import QUANTITIES
 from torchbrdf.measured.rows import head_lines
@@ -16,8 +18,17 @@ from torchbrdf.reading import check_unpacked, read_bytes
 
 EXPECTED = "a BSDF XML file of WINDOW or Radiance"
 BANDS = ("visible", "solar", "nir")
-# What stands beside the visible band where there are tristimulus values; that band is Y.
-TRISTIMULUS = ("cie-x", "visible", "cie-z")
+# What `band` may be beside these: all that have a wavelength of their own.
+SPECTRAL = "spectral"
+# Nanometers in a unit, in which a wavelength is unless it says another.
+_UNITS = {"micrometer": 1e3, "micron": 1e3}
+_LENGTH = re.compile(r"(\d+(?:\.\d*)?) ?(?:nm)?")
+_ROOT = re.compile(r"<(?:[\w.-]+:)?WindowElement\b")
+_TREE = re.compile(rb"IncidentDataStructure[^<>]*>\s*TensorTree", re.IGNORECASE)
+# An element whose beginning Radiance's wrapBSDF of 2015 wrote without its first character.
+_CUT = re.compile(rb"(?<![</\w])SourceSpectrum>")
+# Lines of what a program said, as genBSDF does, in front of a file that it wrote to its output.
+_LINES_IN_FRONT = 5
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 # Of a number while it is read: a text and a number of Python's.
 _BYTES_A_NUMBER = 100
@@ -26,10 +37,15 @@ _DEEPEST = 64
 
 
 class Block(NamedTuple):
-    """Scattering data: from which side light comes and whether it goes through, in which band."""
+    """Scattering data: from which side light comes and whether it goes through, in which band, of which layer.
+
+    A band is a name, or a wavelength in nm, which `length` has, too.
+    """
 
     direction: str
     band: str
+    layer: str
+    length: float | None
     element: ET.Element
 
     def said(self, name: str) -> str:
@@ -38,12 +54,13 @@ class Block(NamedTuple):
 
 
 class Document(NamedTuple):
-    """What a file says: its definition of data, its blocks, and what it calls the material."""
+    """What a file says: its definition of data, its blocks, what it calls the material, and what was mended."""
 
     structure: str
     definition: ET.Element
     blocks: list[Block]
     material: str
+    mended: str
 
 
 class Chosen(NamedTuple):
@@ -51,6 +68,7 @@ class Chosen(NamedTuple):
 
     side: str
     blocks: dict[str, Block]
+    wavelengths: list[float] | None
     facts: dict[str, object]
 
 
@@ -61,17 +79,19 @@ class WindowFormat(GriddedFormat):
     Radiance calls that side the back.
 
     Attributes:
-        has_colors: Whether tristimulus values are read, and not luminance alone.
+        colors: The bands that are read together where all are there, as colours; one is the visible band, which is Y.
+        has_spectra: Whether bands with wavelengths are read.
     """
 
-    has_colors: ClassVar[bool] = False
+    colors: ClassVar[tuple[str, ...]]
+    has_spectra: ClassVar[bool] = False
     settings: ClassVar = {"side": ("auto", "front", "back"), "band": ("auto", *BANDS), "quantity": QUANTITIES}
 
     def chosen(self, path: Path, document: Document) -> Chosen:
         """The blocks of one side, and how that was decided."""
         found: dict[tuple[str, str], Block] = {}
         for block in document.blocks:
-            if (block.direction, block.band) in found:
+            if (block.direction, block.band) in found and block.direction.startswith("reflection"):
                 raise DataError(f"{path}: expected one {block.direction} of the band {block.band}, found several")
             found[block.direction, block.band] = block
         there = list(dict.fromkeys(block.direction for block in document.blocks))
@@ -84,41 +104,45 @@ class WindowFormat(GriddedFormat):
         if side not in sides:
             raise DataError(f"{path}: expected reflection {side}, found {shown(words)}")
         own = {band: block for (direction, band), block in found.items() if direction == f"reflection {side}"}
-        band = self._band(path, side, list(own))
-        rest = [name for name in own if name != band]
+        names = self._bands(path, side, own)
+        rest = [name for name in own if name not in names]
         facts: dict[str, object] = {"material": shown(document.material)} if document.material else {}
         more = "" if told == side else "; --read side=front, side=back"
         facts["side"] = f"{side}; the file has {shown(words, 120)}{more}"
-        if self.has_colors and set(TRISTIMULUS) <= set(own) and band == "visible":
-            own, rest = {name: own[name] for name in TRISTIMULUS}, [name for name in rest if name not in TRISTIMULUS]
-        else:
-            own = {band: own[band]}
-        facts["band"] = ", ".join(own) + (f"; passed over: {shown(', '.join(rest))}" if rest else "")
-        kind = own[band].said("ScatteringDataType")
+        facts["band"] = ", ".join(names) + (f"; passed over: {shown(', '.join(rest))}" if rest else "")
+        if document.mended:
+            facts["mended"] = document.mended
+        blocks = {name: own[name] for name in names}
+        kind = blocks[names[0]].said("ScatteringDataType")
         if kind.upper() not in ("", "BRDF"):
             facts["kind"] = f"the block says {shown(kind)}, its direction reflection; the direction was believed"
-        return Chosen(side, own, facts)
+        lengths = [block.length for block in blocks.values() if block.length is not None]
+        return Chosen(side, blocks, lengths or None, facts)
 
-    def _band(self, path: Path, side: str, there: list[str]) -> str:
+    def _bands(self, path: Path, side: str, there: Mapping[str, Block]) -> list[str]:
+        """The bands that are read: one, those that make colours, or all with wavelengths, growing."""
         told = self.setting("band", "auto")
         known = [band for band in BANDS if band in there]
-        if told == "auto" and known:
-            return known[0]
-        if told in known:
-            return told
-        wanted = told if told != "auto" else f"one of {', '.join(BANDS)}"
-        raise DataError(f"{path}: reflection {side}: expected the band {wanted}, found {shown(', '.join(there))}")
+        lengths = {name: block.length for name, block in there.items() if block.length is not None}
+        if self.has_spectra and lengths and (told == SPECTRAL or (told == "auto" and not known)):
+            return sorted(lengths, key=lambda name: lengths[name])
+        band = known[0] if told == "auto" and known else told
+        if band not in known:
+            wanted = told if told != "auto" else f"one of {', '.join(BANDS)}"
+            raise DataError(f"{path}: reflection {side}: expected the band {wanted}, found {shown(', '.join(there))}")
+        return list(self.colors) if band == "visible" and set(self.colors) <= set(there) else [band]
 
 
 def is_window(path: Path, head: bytes) -> bool:
     """Whether a file is one of these, by its root."""
-    start = head_lines(path, head)
-    return bool(start) and start[0].startswith("<") and any("<WindowElement" in line for line in start)
+    lines = head_lines(path, head)
+    at = next((k for k, line in enumerate(lines[: _LINES_IN_FRONT + 1]) if line.startswith("<")), None)
+    return at is not None and any(_ROOT.search(line) for line in lines[at:])
 
 
 def is_tree(path: Path) -> bool:
     """Whether one of these files holds a tensor tree."""
-    return b"TensorTree" in read_bytes(path, EXPECTED)
+    return _TREE.search(read_bytes(path, EXPECTED)) is not None
 
 
 def read_window(path: Path) -> Document:
@@ -127,7 +151,7 @@ def read_window(path: Path) -> Document:
     Raises:
         DataError: It is no such file. Entities, which can blow up, are none of theirs: no document type is read.
     """
-    root = _parsed(path)
+    root, mended = _parsed(path)
     layers = [one for one in root.iter("Layer") if one.find("WavelengthData") is not None]
     if root.tag != "WindowElement" or len(layers) != 1:
         raise DataError(
@@ -138,11 +162,29 @@ def read_window(path: Path) -> Document:
     if definition is None:
         raise DataError(f"{path}: expected an element DataDefinition, found none")
     blocks = [
-        Block(_plain(text_of(block, "WavelengthDataDirection")), _plain(text_of(data, "Wavelength")), block)
+        Block(_plain(text_of(block, "WavelengthDataDirection")), *_band(path, data), block)
         for data in layer.findall("WavelengthData")
         for block in data.findall("WavelengthDataBlock")
     ]
-    return Document(text_of(definition, "IncidentDataStructure"), definition, blocks, text_of(layer, "Material/Name"))
+    # Layers of a system may have data of their own.
+    whole = {(block.direction, block.band) for block in blocks if block.layer == "system"}
+    blocks = [one for one in blocks if one.layer == "system" or (one.direction, one.band) not in whole]
+    structure, material = text_of(definition, "IncidentDataStructure"), text_of(layer, "Material/Name")
+    return Document(structure, definition, blocks, material, mended)
+
+
+def _band(path: Path, data: ET.Element) -> tuple[str, str, float | None]:
+    """The band of some data, the layer that they are of, and the wavelength in nm, if it is one."""
+    name, layer = _plain(text_of(data, "Wavelength")), _plain(text_of(data, "LayerNumber"))
+    said = _LENGTH.fullmatch(name)
+    if said is None:
+        return name, layer, None
+    element = data.find("Wavelength")
+    unit = "" if element is None else element.get("unit", "").lower().removesuffix("s")
+    length = float(said[1]) * _UNITS.get(unit, 1.0)
+    if not 0 < length < LONGEST:
+        raise DataError(f"{path}: Wavelength: expected a name, or one in nm, found {shown(name)}")
+    return f"{length:g} nm", layer, length
 
 
 def _plain(text: str) -> str:
@@ -171,9 +213,18 @@ def numbers(path: Path, where: str, text: str) -> np.ndarray:
         raise DataError(f"{path}: {where}: expected numbers, found {shown(bad)}") from None
 
 
-def _parsed(path: Path) -> ET.Element:
-    """The elements of a file, without prefixes of namespaces."""
+def _parsed(path: Path) -> tuple[ET.Element, str]:
+    """The elements of a file, without prefixes of namespaces, and what was mended."""
     data = read_bytes(path, EXPECTED)
+    mended = []
+    said, mark, rest = data.partition(b"<")
+    in_front = said.removeprefix(b"\xef\xbb\xbf").strip()
+    if mark and in_front and b"\0" not in said:
+        data = mark + rest
+        mended.append(f"text in front of the XML passed over: {shown(in_front.decode('latin-1'), 60)}")
+    data, cut = _CUT.subn(b"<SourceSpectrum>", data)
+    if cut:
+        mended.append(f"{cut} elements SourceSpectrum that begin without '<'")
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -200,7 +251,7 @@ def _parsed(path: Path) -> ET.Element:
     parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(data, True)
-        return builder.close()
+        return builder.close(), "; ".join(mended)
     except (expat.ExpatError, LookupError, ValueError, AssertionError) as error:
         if isinstance(error, DataError):
             raise

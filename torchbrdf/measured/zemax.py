@@ -38,21 +38,22 @@ class Zemax(ListedFormat):
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
-        lines = text_lines(path, _EXPECTED)
-        words = {line.split(None, 1)[0].lower(): line.split()[1:] for line in lines if line and line[0] != "#"}
+        lines = [line.partition("#")[0].strip() for line in text_lines(path, _EXPECTED)]
+        words = {line.split(None, 1)[0].lower(): line.split()[1:] for line in lines if line}
         said = {key: " ".join(words.get(key, [])) for key in ("scattertype", "symmetry", "spectralcontent", "source")}
         if said["scattertype"].lower() != "brdf":
             raise DataError(f"{path}: ScatterType: expected BRDF, found {shown(said['scattertype'])}")
         if said["symmetry"].lower() not in _SYMMETRIES or said["spectralcontent"].lower() not in _CONTENTS:
             found = shown(f"{said['symmetry']}, {said['spectralcontent']}")
             raise DataError(f"{path}: expected a known Symmetry, and Monochrome or XYZ, found {found}")
-        axes = [_axis(path, lines, name) for name in _AXES]
+        facts: dict[str, object] = {}
+        axes = [_axis(path, lines, name, facts) for name in _AXES]
         shape = [len(axis) for axis in axes]
         if math.prod(shape) > _LARGEST * 100:
             raise DataError(f"{path}: expected at most {100 * _LARGEST} values, found a table of {math.prod(shape)}")
         values = _values(path, lines, shape, said["spectralcontent"].lower())
         rotation, incidence, azimuth, radial = (np.radians(one) for one in np.meshgrid(*axes, indexing="ij"))
-        facts: dict[str, object] = {"angles": "degrees, about the mirror direction", "symmetry": said["symmetry"]}
+        facts |= {"angles": "degrees, about the mirror direction", "symmetry": said["symmetry"]}
         facts |= {"content": said["spectralcontent"], "source": said["source"]}
         # With light from +x the mirror direction lies towards -x.
         toward = np.stack([np.cos(incidence), 0 * incidence, np.sin(incidence)], -1)
@@ -71,23 +72,29 @@ class Zemax(ListedFormat):
         return Listed(angles, values, None, self.setting("quantity", "brdf"), facts)
 
 
-def _axis(path: Path, lines: list[str], name: str) -> np.ndarray:
-    """The angles of an axis: their count behind its name, and themselves in the lines that follow."""
-    for k, line in enumerate(lines):
-        first, *rest = line.split() or [""]
-        if first.lower() != name:
-            continue
-        if len(rest) == 1 and rest[0].isascii() and rest[0].isdigit() and len(rest[0]) < 9:
-            count = int(rest[0])
-            if 0 < count <= _LARGEST:
-                found: list[str] = []
-                for more in lines[k + 1 :]:
-                    if len(found) >= count:
-                        break
-                    found += more.split()
-                return parse_rows(path, [" ".join(found)], count, k + 2).numbers.reshape(-1)
-        raise DataError(f"{path}: {first}: expected a count of angles, found {shown(' '.join(rest))}")
-    raise DataError(f"{path}: expected a line {name}, found none")
+def _axis(path: Path, lines: list[str], name: str, facts: dict[str, object]) -> np.ndarray:
+    """The angles of an axis: their count behind its name, and themselves behind it or in the lines that follow.
+
+    Where these are more or fewer than their count, they are believed: the table has to have as many rows.
+    """
+    at = next((k for k, line in enumerate(lines) if line.split()[:1] and line.split()[0].lower() == name), None)
+    if at is None and name == _AXES[0]:
+        return np.zeros(1)
+    if at is None:
+        raise DataError(f"{path}: expected a line {name}, found none")
+    first, *rest = lines[at].split()
+    said, *found = rest or [""]
+    if not (said.isascii() and said.isdigit() and len(said) < 9 and 0 < int(said) <= _LARGEST):
+        raise DataError(f"{path}: {first}: expected a count of angles, found {shown(' '.join([said, *found]))}")
+    for line in filter(None, lines[at + 1 :]):
+        if len(found) >= int(said) or line[0].isalpha():
+            break
+        found += line.split()
+    if not found:
+        raise DataError(f"{path}: {first}: expected {said} angles, found none")
+    if len(found) != int(said):
+        facts[first] = f"the file says {said}, and lists {len(found)}; these were believed"
+    return parse_rows(path, [" ".join(found)], len(found), at + 2).numbers.reshape(-1)
 
 
 def _values(path: Path, lines: list[str], shape: list[int], content: str) -> np.ndarray:
@@ -100,6 +107,9 @@ def _values(path: Path, lines: list[str], shape: list[int], content: str) -> np.
     start = begins[wanted]
     end = next((k for k in range(start, len(low)) if low[k] == "dataend"), len(lines))
     rows = ["#" if line.lower().startswith("tis") else line for line in lines[start + 1 : end]]
+    words = " ".join(row for row in rows if row != "#").split()
+    if len(words) == math.prod(shape) and any(row not in ("", "#") and len(row.split()) != shape[-1] for row in rows):
+        rows = [" ".join(words[k : k + shape[-1]]) for k in range(0, len(words), shape[-1])]
     found = parse_rows(path, rows, shape[-1], start + 2).numbers
     if len(found) != math.prod(shape[:-1]):
         raise DataError(f"{path}: expected {math.prod(shape[:-1])} rows of values, found {len(found)}")
