@@ -8,32 +8,25 @@ MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
-from torchbrdf.fitting.batching import parallel_map
 from torchbrdf.fitting.layout import Layout
 from torchbrdf.fitting.pair_factors import (
     Groups,
     Probes,
     chosen_probes,
-    factor_kinds,
     factors_of,
-    groups_of,
     kept,
     probes_of,
 )
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
-from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import Lost
 
 # Pairs of a group, on average, from which on sums are worth their pass.
 LEAST_PAIRS = 64
@@ -93,82 +86,11 @@ class SufficientStatistics:
 _OF_MATERIALS = ("gram", "right", "zero", "total", "counts")
 
 
-class Gathered:
-    """The sufficient statistics of materials for several models and losses, made in one pass when they are asked for.
-
-    Args:
-        measured: M materials, within the angle that fits shall see.
-        models: what may be fitted.
-        losses: under which.
-        executor: what works on the materials, as of `torchbrdf.fit`.
-
-    Example:
-        >>> from torchbrdf.lobes import make_model
-        >>> from torchbrdf.losses import LogLoss, RMSLoss
-        >>> from torchbrdf.measured import load, standins
-        >>> rms, models = RMSLoss(), [make_model("ward", 2), make_model("ggx", 2)]
-        >>> gathered = Gathered(load(standins()).batch([6]).within(20.0), models, [rms, LogLoss()])
-        >>> [gathered.find(model, rms) is None for model in models]
-        [False, True]
-    """
-
-    def __init__(
-        self, measured: Measured, models: Sequence[Lobe], losses: Sequence[Loss], executor: Executor | None = None
-    ) -> None:
-        self.measured, self.executor = measured, executor
-        self.kinds = tuple(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
-        self.losses = [loss for loss in losses if loss.is_quadratic]
-
-    def is_of(self, measured: Measured) -> bool:
-        """Whether these are the sums of just these samples of just these materials."""
-        own = self.measured
-        same = own.samples is measured.samples or (
-            own.samples is not None and measured.samples is not None and torch.equal(own.samples, measured.samples)
-        )
-        return (
-            same
-            and own.source is measured.source
-            and own.materials == measured.materials
-            and (own.max_theta == measured.max_theta)
-        )
-
-    def find(self, model: Lobe, loss: Loss) -> SufficientStatistics | None:
-        """Those of a model under a loss; None where there are none, and the pairs themselves are needed."""
-        kinds = factor_kinds(model)
-        if not kinds or not {*kinds} <= {*self.kinds} or not any(one is loss for one in self.losses):
-            return None
-        by_loss = self._by_loss
-        return by_loss[id(loss)].of_kinds(kinds) if by_loss else None
-
-    @cached_property
-    def _by_loss(self) -> dict[int, SufficientStatistics]:
-        """By the losses' identities."""
-        groups = groups_of(self.measured.pairs, LEAST_PAIRS)
-        if groups is None:
-            return {}
-        work = partial(_gathered, self.losses, self.kinds)
-        found = [part for _, part in parallel_map(work, self.measured, None, self.executor)]
-        if any(isinstance(part, Lost) for part in found):
-            return {}  # a process died over one of them; a fit says of which
-        joined = [SufficientStatistics.joined(parts) for parts in zip(*found, strict=True)]
-        return {id(loss): own for loss, own in zip(self.losses, joined, strict=True)}
-
-
 def without_idle_weight(problem: Problem) -> Problem:
     """Weights that are all 1 say nothing: leave them out of every step."""
     if problem.weight is not None and bool((problem.weight == 1).all()):
         return Problem(problem.pairs, problem.target)
     return problem
-
-
-def _gathered(
-    losses: Sequence[Loss], kinds: Sequence[type[Lobe]], rows: list[int], measured: Measured
-) -> list[SufficientStatistics]:
-    """Of some materials, for each loss."""
-    problem = without_idle_weight(Problem(measured.pairs, measured.values, measured.weight))
-    groups = groups_of(problem.pairs, LEAST_PAIRS)
-    assert groups is not None
-    return gather_statistics(problem, losses, kinds, groups)
 
 
 def gather_statistics(

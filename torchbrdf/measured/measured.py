@@ -79,6 +79,7 @@ class Measured:
         self.max_theta = max_theta
         self.dtype = dtype or torch.get_default_dtype()
         self.device = torch.device(device or "cpu")
+        self._whole: tuple[tuple[Tensor, Tensor], list[int], Tensor] | None = None
 
     @classmethod
     def from_samples(
@@ -233,19 +234,22 @@ class Measured:
         Raises:
             UsageError: There is no such material or sample.
         """
-        chosen = self.materials if materials is None else [self.materials[row_of(k, len(self))] for k in materials]
+        rows = list(range(len(self))) if materials is None else [row_of(k, len(self)) for k in materials]
+        own = self.samples
         if samples is not None:
-            samples = samples_of(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
-        if samples is not None and self.samples is not None:
-            samples = self.samples[samples.to(self.samples.device)]
-        found = self._view(materials=chosen, samples=self.samples if samples is None else samples)
-        if samples is None and "_data" in self.__dict__:
-            found._take_data(self, range(len(self)) if materials is None else [row_of(k, len(self)) for k in materials])
+            samples = samples_of(samples, len(self.source.pairs) if own is None else len(own))
+            own = samples if own is None else own[samples.to(own.device)]
+        found = self._view(materials=[self.materials[k] for k in rows], samples=own)
+        found._take_data(self, rows, samples)
         return found
 
-    def _take_data(self, other: "Measured", rows: Sequence[int]) -> None:
-        """What another has read need not be read again, where these rows of it are one slice: no copy."""
-        if rows and list(rows) == list(range(rows[0], rows[-1] + 1)):
+    def _take_data(self, other: "Measured", rows: list[int], samples: Tensor | None) -> None:
+        """What another has read need not be read again: a view where these rows of it are one slice of all samples."""
+        if "_data" not in other.__dict__:
+            return
+        if samples is not None:
+            self._whole = other._data, rows, samples
+        elif rows and rows == list(range(rows[0], rows[-1] + 1)):
             values, weight = other._data
             self._data = values[rows[0] : rows[-1] + 1], weight[rows[0] : rows[-1] + 1]
 
@@ -267,9 +271,10 @@ class Measured:
         limited = self._view(max_theta=min(max_theta, self.max_theta))
         if max_theta < 90 and pairs.shape[0] == 1:
             keep = self._low(pairs, max_theta)[0]
-            every = torch.arange(len(pairs), dtype=torch.int64, device="cpu")
-            samples = every if self.samples is None else self.samples.cpu()
-            limited.samples = samples[keep[samples]]
+            keep = keep if self.samples is None else keep[self.samples.cpu()]
+            samples = keep.nonzero()[:, 0]
+            limited.samples = samples if self.samples is None else self.samples.cpu()[samples]
+            limited._take_data(self, list(range(len(self))), samples)
         return limited
 
     @staticmethod
@@ -298,6 +303,12 @@ class Measured:
 
     @cached_property
     def _data(self) -> tuple[Tensor, Tensor]:
+        if self._whole is not None:
+            known, rows, index = self._whole
+            self._whole = None  # and with it what others have read
+            values, weight = (one[rows] if rows != list(range(len(one))) else one for one in known)
+            index = index.to(self.device)
+            return values.index_select(1, index), weight.index_select(1, index)
         samples = slice(None) if self.samples is None else self.samples.cpu()
         shape = (len(self), len(self.source.pairs if self.samples is None else self.samples))
         values = torch.empty(*shape, self.channels, dtype=self.dtype, device=self.device)

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import torch
@@ -74,7 +75,15 @@ class FitObjective(ABC):
         index = stratified(len(self.problem.pairs), samples, seed)
         if index is None:
             return self
-        return type(self)(self.problem.select(samples=index.to(self.problem.target.device)), self.loss)
+        if (samples, seed) not in self._parts:
+            part = self.problem.select(samples=index.to(self.problem.target.device))
+            self._parts[samples, seed] = type(self)(part, self.loss)
+        return self._parts[samples, seed]
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], Self]:
+        """Subsets that were made, by their sizes and seeds: the same for all models."""
+        return {}
 
 
 class GaussNewtonObjective(FitObjective):
