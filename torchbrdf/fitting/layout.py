@@ -23,7 +23,7 @@ class Layout:
 
     def __init__(self, pairs: Pairs, groups: Groups) -> None:
         self.groups, self.device = groups, pairs.device
-        average = len(pairs) // (8 * len(groups))
+        average = len(pairs) // (2 * len(groups))
         self.size = min(max(1 << average.bit_length(), SMALLEST_BLOCK), LARGEST_BLOCK)
         bounds = torch.tensor(groups.bounds, dtype=torch.int64, device=pairs.device)
         count = bounds.diff()

@@ -164,6 +164,8 @@ class BoundObjective:
 
     def __post_init__(self) -> None:
         self._basis = Basis(self.parametrization)
+        moved = {name for one in self.parametrization.free for name in one.names}
+        self._held = {name: value for name, value in self.values.items() if name not in moved}
 
     def value_and_gradient(self, x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Value and gradient of the loss itself, not rounded."""
@@ -176,5 +178,5 @@ class BoundObjective:
     def _evaluate(
         self, x: Tensor, rows: Tensor, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor]:
-        here = take_materials(self.values, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
+        here = take_materials(self._held, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
         return self.objective.evaluate(self._basis, here, self.materials[rows], self.scale[rows], width, curvature)

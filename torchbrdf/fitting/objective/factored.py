@@ -164,28 +164,31 @@ class FactoredProblem:
         color = albedos.double() @ responses[:, len(basis.slopes) :].flatten(2)
         color = color.unflatten(2, (groups, count)).permute(2, 0, 1, 3).flatten(1, 2).to(self.target.dtype)
         value, slopes, products = self._pass(color, factors, rows, width, curvature)
-        used = responses[:, : basis.used, :, : factors.active]
-        flat = used.flatten(2)
-        slopes = slopes.unflatten(1, (problems, -1)).permute(1, 2, 0, 3).flatten(2)
+        # Groups last, as they are many: (m, Q, a, G).
+        used = responses[:, : basis.used, :, : factors.active].transpose(2, 3).contiguous()
+        flat = used.flatten(2).mT
+        slopes = slopes.permute(2, 1, 0).unflatten(0, (problems, -1)).flatten(2)
         grams = None
         if products is not None:
-            products = products[..., factors.index].unflatten(1, (problems, -1)).permute(1, 2, 0, 3, 4)
-            half = used.transpose(1, 2)[:, None] @ products
-            grams = half.transpose(2, 3).flatten(3) @ flat.mT[:, None]
-        return Sums(value, slopes @ flat.mT, grams), responses.flatten(2)
+            products = products.permute(2, 1, 0).contiguous()[:, factors.index].unflatten(0, (problems, -1))
+            half = products[:, :, None, 0] * used[:, None, :, :1]
+            for j in range(1, factors.active):
+                half.addcmul_(products[:, :, None, j], used[:, None, :, j : j + 1])
+            grams = half.flatten(3) @ flat[:, None]
+        return Sums(value, slopes @ flat, grams), responses.flatten(2)
 
     def _pass(
         self, color: Tensor, factors: Factors, rows: Tensor | None, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Values `(m,)`, and by group slopes `(G, C m, a)` and curvatures by products `(G, C m, k)`, float64.
+        """Values `(m,)`, and by group slopes `(G, a, C m)` and curvatures by products `(G, k, C m)`, float64.
 
         color: what factors are multiplied by, `(G, C m, J)`.
         """
         layout, channels, products = self.layout, self.problem.target.shape[2], factors.products.shape[1]
         problems = color.shape[1] // channels
         by_block, value = color[layout.group], color.new_zeros(problems, dtype=torch.float64)
-        slopes = color.new_empty(len(by_block), color.shape[1], factors.active)
-        grams = color.new_empty(len(by_block), color.shape[1] if curvature else 0, products)
+        slopes = color.new_empty(len(by_block), factors.active, color.shape[1])
+        grams = color.new_empty(len(by_block), products, color.shape[1] if curvature else 0)
         for part in layout.parts(color.shape[1]):
             work = self._work((part.stop - part.start, problems, channels, layout.size))
             x = torch.bmm(by_block[part], factors.values[part], out=work[0].flatten(1, 2)).view_as(work[0])
@@ -198,12 +201,12 @@ class FactoredProblem:
                 penalty, slope, curve = (self._times(one, weight) for one in (penalty, slope, curve))
             value += penalty.sum((0, 2, 3))
             slope = slope if rate is None else self._times(slope, rate)
-            torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT, out=slopes[part])
+            torch.bmm(factors.values[part, : factors.active], slope.flatten(1, 2).mT, out=slopes[part])
             if curvature:
                 if rate is not None:
                     square = rate.square_()
                     curve = square if curve is self.one else torch.mul(curve, square, out=square)
-                torch.bmm(curve.expand_as(x).flatten(1, 2), factors.products[part].mT, out=grams[part])
+                torch.bmm(factors.products[part], curve.expand_as(x).flatten(1, 2).mT, out=grams[part])
         if self.filled:  # with nothing: predictions and targets of 0
             nothing = color.new_zeros(1 if width is None else problems, 1, 1)
             value -= channels * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()
