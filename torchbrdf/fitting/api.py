@@ -173,7 +173,9 @@ def fit(
     elif not isinstance(gathered, Gathered) or not gathered.is_of(measured):
         raise UsageError(f"fit: gathered: expected a Gathered of these materials within {max_theta:g} degrees")
     sums = None if intervals == BOOTSTRAP else gathered.find(model, loss)
-    work = FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums, gathered.shared)
+    work = FitSome(
+        model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums, gathered.shared
+    )
     found: list[tuple[list[int], Fitted | Lost]] = []
     for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes), executor):
         found.append((rows, one))

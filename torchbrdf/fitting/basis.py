@@ -6,7 +6,7 @@ derivatives by the lobes' scalars, which all channels share, and from how the A_
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 
@@ -99,8 +99,11 @@ def responses_of(
     first = parts[0]
     if len(parts) == 1:
         return first.responses(pairs, values, dtype)
-    own = {name: torch.cat([values[part.names[name]] for part in parts]) for name in first.names}
-    return replace(first, names={name: name for name in own}, free=first.own_free).responses(pairs, own, dtype)
+    own = {
+        name: torch.cat([values[part.scalars[k]].expand(-1, size) for part in parts])
+        for k, (name, size) in enumerate(zip(first.scalars, first.sizes, strict=True))
+    }
+    return first.responses(pairs, own, dtype)
 
 
 class Basis:
@@ -124,9 +127,7 @@ class Basis:
         self.parts = sorted(parts, key=lambda part: not part.moves_coefficients)
         self.slopes = [slope for part in self.parts for slope in part.slopes]
         self.terms = sum(part.terms for part in self.parts)
-        self.alike = [
-            list(own) for _, own in groupby(self.parts, lambda part: (part.kind, frozenset(part.own_free)))
-        ]
+        self.alike = [list(own) for _, own in groupby(self.parts, lambda part: (part.kind, frozenset(part.own_free)))]
         self.used = len(self.slopes) + sum(part.terms for part in self.parts if part.moves_coefficients)
 
     def albedos(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
@@ -149,9 +150,10 @@ class Basis:
     def jacobian(self, values: ParameterDict, albedos: Tensor) -> Tensor:
         """How the used responses make up the derivative of each channel by each of P free numbers, `(R, C, Q, P)`."""
         found = (albedos.flatten(0, 1) @ self._of_scalars.to(albedos.device)).view(len(albedos), *self._constant.shape)
-        if self._has_logs:
-            numbers = torch.cat([values[one.name].to(albedos).expand(-1, one.width) for one in self.free], 1)
-            found = found * torch.where(self._is_log.to(numbers.device), numbers, 1)[:, None, None]
+        logs, spread, others = self._logs
+        if logs:
+            rate = torch.cat([values[name] for name in logs], 1).to(albedos)
+            found = found * torch.addmm(others.to(albedos.device), rate, spread.to(albedos.device))[:, None, None]
         found = found + self._constant.to(albedos.device)
         for part, first in zip(self.parts, self._first_terms, strict=True):
             if part.color is None:
@@ -182,15 +184,13 @@ class Basis:
         return found.flatten(1)
 
     @cached_property
-    def _is_log(self) -> Tensor:
-        """Whether a number that is moved is the logarithm of a scalar, `(P,)`."""
-        colors = {part.color for part in self.parts}
-        found = [one.spec.log and not {*one.names} & colors for one in self.free for _ in range(one.width)]
-        return torch.tensor(found, dtype=torch.bool, device="cpu")
-
-    @cached_property
-    def _has_logs(self) -> bool:
-        return bool(self._is_log.any())
+    def _logs(self) -> tuple[list[str], Tensor, Tensor]:
+        """Scalars whose logarithms are moved, which of P numbers each is, `(k, P)`, and 1 for the other numbers."""
+        scalars = {name for part in self.parts if part.color is not None for name in part.scalars}
+        found = {columns.start: name for name, one, columns in self._columns if one.spec.log and name in scalars}
+        spread = torch.zeros(len(found), sum(one.width for one in self.free), dtype=torch.float64, device="cpu")
+        spread[range(len(found)), list(found)] = 1
+        return list(found.values()), spread, 1 - spread.sum(0)
 
     @cached_property
     def _first_terms(self) -> list[int]:

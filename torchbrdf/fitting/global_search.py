@@ -75,13 +75,13 @@ class GlobalSearch:
 
         def quickly(start: ParameterDict, parametrization: Parametrization) -> tuple[ParameterDict, Solution]:
             return levenberg_marquardt_fit(
-                coarse, start, parametrization, max_iterations=20, ftol=1e-4, widths=widths[:1]
+                coarse, start, parametrization, max_iterations=10, ftol=1e-3, widths=widths[:1]
             )
 
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
         candidates = self._starts(task, coarse, values, free, fit_diffuse).joined(objective.material_indices, staged)
         outcome.starts = int(torch.bincount(candidates.materials).max())
-        errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
+        errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:1])
         outcome.add(f"{outcome.starts} starts, {coarse.describe_size()}", *candidates.best(errors))
         candidates.prune(errors, self.kept, 1.0)
         last = smooth.ftol if task.full is None else 1e-6

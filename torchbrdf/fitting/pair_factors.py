@@ -6,7 +6,7 @@ apart, so that lobes are evaluated as anywhere else, but at a few hundred pairs 
 """
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -109,6 +109,7 @@ class Probes:
 
     pairs: Pairs
     inverse: Tensor
+    _constant: list[Tensor] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
@@ -121,6 +122,13 @@ class Probes:
         if self.inverse.shape[1] == 1:
             return (responses * self.inverse.flatten())[..., None]
         return rows_times(responses.unflatten(2, (len(self.inverse), -1)), self.inverse)
+
+    def constant(self, kind: type[Lobe]) -> Tensor:
+        """The H_j of the terms of a kind that has no scalars, `(1, K, G, J)`."""
+        if not self._constant:
+            terms = [kind.unit_response(self.pairs)] if kind.albedo_spec() is not None else kind.terms(self.pairs)
+            self._constant.append(self.coefficients(torch.stack([one.expand(1, -1) for one in terms], 1)))
+        return self._constant[0]
 
 
 def rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
@@ -142,6 +150,10 @@ def coefficients(basis: Basis, probes: Mapping[type[Lobe], Probes], values: Para
     for parts in basis.alike:
         kind, count = parts[0].kind, len(parts)
         own, columns = probes[kind], slice(firsts[kind], firsts[kind] + sizes[kind])
+        if not parts[0].scalars:  # terms that are always the same
+            found[:, term : term + count * parts[0].terms, :, columns] = own.constant(kind)
+            term += count * parts[0].terms
+            continue
         slopes, terms = responses_of(parts, own.pairs, values, torch.float64)
         there = own.coefficients(torch.stack([one.expand(count * problems, -1) for one in (*slopes, *terms)], 1))
         there = there.unflatten(0, (count, problems)).transpose(0, 1)

@@ -111,7 +111,7 @@ class Parametrization:
     def decode(self, x: Tensor, dtype: torch.dtype) -> ParameterDict:
         """The free parameters of vectors `(M, P)`."""
         is_log = self._is_log.to(x.device)
-        values = torch.where(is_log, x.exp(), x).to(dtype)
+        values = torch.where(is_log, torch.where(is_log, x, 0).exp(), x).to(dtype)
         found = zip(self.free, values.split([one.width for one in self.free], 1), strict=True)
         return {name: value for one, part in found for value in [one.shaped(part)] for name in one.names}
 

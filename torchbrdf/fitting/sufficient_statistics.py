@@ -15,12 +15,11 @@ import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
-from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.layout import Layout, spread_factors
 from torchbrdf.fitting.pair_factors import (
     Groups,
     Probes,
     chosen_probes,
-    factors_of,
     kept,
     probes_of,
 )
@@ -99,24 +98,18 @@ def gather_statistics(
     """One pass over all pairs: the sums of each group under each loss, and the group's probes."""
     pairs, materials = problem.pairs, len(problem.target)
     layout = kept(pairs, Layout, lambda: Layout(pairs, groups))
-    factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
+    factors = torch.cat([spread_factors(kind, pairs, layout) for kind in kinds], 1)
     probes, at_probes = kept(pairs, (Probes, *kinds), lambda: chosen_probes(kinds, pairs, groups))
     sums = [_Sums(problem, loss, layout, factors) for loss in losses]
+    spread = layout.spread(problem.target.mT)
     for part in layout.parts(materials * problem.target.shape[2]):
-        sample = layout.sample[part]
-        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).permute(1, 0, 3, 2).double()
+        target = spread[part].double()
         for own in sums:
             own.add(part, target)
     known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
     counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
     counts = problem.target.shape[2] * counts.expand(materials)
     return [SufficientStatistics(*known, *own.totals(), counts) for own in sums]
-
-
-def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -> Tensor:
-    """The B_j of all kinds in blocks, `(B, J, size)`, 0 in what fills up; in single precision if pairs are."""
-    found = torch.cat([factors_of(kind, pairs) for kind in kinds])
-    return layout.spread(found) * layout.real[:, None]
 
 
 class _Sums:
@@ -134,7 +127,7 @@ class _Sums:
         counted = counted.expand(-1, -1, len(pairs))
         self.total = target.shape[2] * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
         square = counted * rate.to(counted).square()
-        self.counted = layout.spread(square[:, 0]) * layout.real[:, None]
+        self.counted = layout.spread(square[:, 0])
         self.zero = torch.zeros(len(target), dtype=torch.float64, device=target.device)
         count = factors.shape[1]
         shape = (len(layout.groups), len(self.counted[0]), count)

@@ -23,6 +23,7 @@ from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
+from torchbrdf.quantities import of_half_diff
 from torchbrdf.reading import reading
 
 BINS = (90, 90, 180)
@@ -339,9 +340,9 @@ def above_horizon(bins: tuple[int, int, int] = BINS) -> np.ndarray:
 @lru_cache(2)
 @undisturbed()
 def _bin_centers(bins: tuple[int, int, int]) -> Pairs:
-    place = np.nonzero(_above_horizon(bins).reshape(bins))
-    angles = [torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(bins), place, strict=True)]
-    return Pairs.from_half_diff(*angles)
+    theta_h, theta_d, phi_d = (torch.from_numpy(centre) for centre in _centres(bins))
+    known = of_half_diff(theta_h[:, None, None], theta_d[:, None], phi_d)  # sines of so many angles as bins have
+    return Pairs(**{name: value.expand(bins).flatten()[_bin_rows(bins)][None] for name, value in known.items()})
 
 
 @lru_cache(2)

@@ -8,6 +8,7 @@ over 85 small matrices. Pairs lie in blocks of one group each, so that these sum
 
 import inspect
 import math
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
-from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.layout import Layout, spread_factors
 from torchbrdf.fitting.pair_factors import Groups, coefficients, factors_of, kept, probes_of
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
@@ -76,15 +77,16 @@ class Factors:
         self.layout = layout
         self.probes = {kind: probes_of(kind, pairs, layout.groups) for kind in kinds}
         self.active = sum(self.probes[kind].inverse.shape[1] for kind in kinds[:active])
-        found = torch.cat([factors_of(kind, pairs) for kind in kinds])
         # What fills up is 0: no value, no slope.
-        self.values = layout.spread(found if exposure is None else found * exposure) * layout.real[:, None]
-        rows, columns = torch.triu_indices(self.active, self.active, device=found.device)
-        self.products = self.values[:, rows] * self.values[:, columns]
-        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=found.device)
-        place = torch.arange(len(rows), dtype=torch.int64, device=found.device)
-        self.index[rows, columns] = place
-        self.index[columns, rows] = place
+        self.values = torch.cat([spread_factors(kind, pairs, layout) for kind in kinds], 1)
+        if exposure is not None:
+            self.values *= layout.spread(exposure)
+        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=self.values.device)
+        every = list(combinations_with_replacement(range(self.active), 2))
+        self.products = self.values.new_empty(len(self.values), len(every), layout.size)
+        for k, (i, j) in enumerate(every):
+            torch.mul(self.values[:, i], self.values[:, j], out=self.products[:, k])
+            self.index[i, j] = self.index[j, i] = k
 
     def on(self, pairs: "Pairs") -> Tensor:
         """The factors on some pairs, not exposed, `(J, n)`, float64."""
@@ -133,7 +135,7 @@ class FactoredProblem:
         self.filled = int(empty.sum())
         if weight is not None:
             self.filled = 0
-            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2])) * self.layout.real[:, None, None]
+            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2]))
         self._factors: dict[tuple[tuple[type[Lobe], ...], int], Factors] = {}
 
     def factors(self, basis: Basis) -> Factors:
@@ -156,12 +158,12 @@ class FactoredProblem:
     ) -> tuple[Sums, Tensor]:
         """What a pass adds up for m problems, and the responses as sums of the factors, `(m, Q, G J)`.
 
-        albedos: `(m, C, terms)`; rows: of which material each is, None: all; width: `(m, 1, 1)`.
+        albedos: `(m, C, terms)`, float64; rows: of which material each is, None: all; width: `(m, 1, 1)`.
         """
         problems, factors = len(albedos), self.factors(basis)
         responses = coefficients(basis, factors.probes, values, problems)
         groups, count = responses.shape[2:]
-        color = albedos.double() @ responses[:, len(basis.slopes) :].flatten(2)
+        color = albedos @ responses[:, len(basis.slopes) :].flatten(2)
         color = color.unflatten(2, (groups, count)).permute(2, 0, 1, 3).flatten(1, 2).to(self.target.dtype)
         value, slopes, products = self._pass(color, factors, rows, width, curvature)
         # Groups last, as they are many: (m, Q, a, G).
