@@ -75,7 +75,7 @@ class GlobalSearch:
 
         def quickly(start: ParameterDict, parametrization: Parametrization) -> tuple[ParameterDict, Solution]:
             return levenberg_marquardt_fit(
-                coarse, start, parametrization, max_iterations=10, ftol=1e-3, widths=widths[:1]
+                coarse, start, parametrization, max_iterations=20, ftol=1e-4, widths=widths[:1]
             )
 
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
