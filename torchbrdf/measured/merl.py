@@ -191,11 +191,9 @@ class Merl(BrdfFormat):
         part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
         valid = _valid(part) & self._above[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
-        with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
-            for channel, scale in enumerate(CHANNEL_SCALES):
-                np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
-        rows[:, 3] = 1
-        rows[~valid] = 0
+        for channel, scale in enumerate(CHANNEL_SCALES):
+            rows[:, channel] = np.where(valid, part[channel], 0) * scale
+        rows[:, 3] = valid
         return rows
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
