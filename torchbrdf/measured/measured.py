@@ -248,7 +248,7 @@ class Measured:
 
     def _take_data(self, other: "Measured", rows: list[int], samples: Tensor | None) -> None:
         """What another has read need not be read again: a view where these rows of it are one slice of all samples."""
-        if "_data" not in other.__dict__:
+        if "_data" not in other.__dict__ and other._whole is None:
             return
         if samples is not None:
             self._whole = other._data, rows, samples
