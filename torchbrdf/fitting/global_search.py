@@ -53,7 +53,7 @@ class GlobalSearch:
     beam: int = 8
     coarse_samples: int = 4_000
     kept: int = 3
-    share: int = 6
+    share: int = 12
     same: float = 1e-4
     near_optimal: float = 0.01
     quasi_random: int = 32
