@@ -173,9 +173,9 @@ class Merl(BrdfFormat):
             return [np.empty(0)] * 3
         slab, count = self.layout.slab, self.layout.entries
         start, stop = int(bins.min()) // slab * slab, (int(bins.max()) // slab + 1) * slab
-        path = self.paths[material]
+        path, place = self.paths[material], bins - start
         with reading(path, "a MERL table"), path.open("rb") as file:
-            return [self._entries(file, k * count + start, stop - start)[bins - start] for k in range(3)]
+            return [self._entries(file, k * count + start, stop - start).take(place) for k in range(3)]
 
     def _entries(self, file: BinaryIO, start: int, count: int) -> np.ndarray:
         """Entries from one on; a DataError if the file ends before: it was cut short since it was opened."""
@@ -199,18 +199,18 @@ class Merl(BrdfFormat):
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values and weights at the bin centres, float64; only these bins are read."""
         bins = _bin_rows(self.layout.bins)[samples].numpy()
-        values = np.empty((len(materials), len(bins), 3))
+        values = np.empty((len(materials), 3, len(bins)))
         weights = np.empty((len(materials), len(bins), 1))
         for k, material in enumerate(materials):
             part = self._some(material, bins)
             valid = _valid(part)
             with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
                 for channel, scale in enumerate(CHANNEL_SCALES):
-                    np.multiply(part[channel], scale, out=values[k, :, channel])
+                    np.multiply(part[channel], scale, out=values[k, channel])
             if not valid.all():
-                values[k, ~valid] = 0
+                values[k][:, ~valid] = 0
             weights[k, :, 0] = valid
-        return torch.from_numpy(values), torch.from_numpy(weights)
+        return torch.from_numpy(values).mT, torch.from_numpy(weights)
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.

@@ -53,7 +53,7 @@ class FitObjective(ABC):
         Values are in units of `zero_prediction_error`. materials: `(R,)`, which each is of; None: all, in their order.
         """
 
-    @property
+    @cached_property
     def material_indices(self) -> Tensor:
         """The materials, `(M,)`."""
         return torch.arange(len(self), dtype=torch.int64, device=self.problem.target.device)
