@@ -105,6 +105,12 @@ def draw(found: dict[str, list[tuple[int, float]]], out: str) -> None:
             if name.split(",")[0] == kind:
                 axis.loglog(*zip(*points, strict=True), "o-", label=f"{name.split(', ')[1]}: {slope(points):.2f}")
         axis.set_xlabel(kind)
+        amounts = sorted(
+            {amount for name, points in found.items() if name.split(",")[0] == kind for amount, _ in points}
+        )
+        if amounts[-1] < 10:
+            axis.xaxis.set_minor_formatter("")
+            axis.set_xticks(amounts, map(str, amounts))
         axis.legend(fontsize=7)
         axis.grid(True, which="both", alpha=0.25)
     axes[0].set_ylabel("CPU seconds")
