@@ -17,7 +17,7 @@ from torchbrdf.losses import LOSSES
 from torchbrdf.measured import load
 
 try:
-    from torchbrdf.fitting.sufficient_statistics import Gathered
+    from torchbrdf.fitting import Gathered
 except ImportError:  # a version without
     Gathered = None
 

@@ -13,8 +13,8 @@ from functools import partial
 import torch
 from common import MODELS, lobes_of
 
+from torchbrdf.fitting import Gathered
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
-from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LearnedLoss, LogLoss, Problem, RMSLoss
 from torchbrdf.measured import load
 

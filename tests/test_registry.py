@@ -266,3 +266,12 @@ def test_the_name_of_a_thing_is_found_without_loading_others(offered: Registry[s
 def test_what_the_package_brings() -> None:
     assert {"lambert", "ward", "cook_torrance", "ashikhmin_shirley", "distribution_based"} <= set(LOBES)
     assert {"rms", "cosine_rms", "cube_root", "compressed", "log", "solid_angle_cosine_rms"} <= set(LOSSES)
+
+
+def test_sources_are_not_read_where_all_modules_are_loaded(monkeypatch):
+    from torchbrdf import registry
+
+    own = registry.Registry("lobe", "torchbrdf.lobes")
+    own._things, own._aliases, own._complete = {"one": print}, {"former": "one"}, True
+    monkeypatch.setattr(registry, "registrations", None)
+    assert list(own) == ["one"] and own["former"] is print and "two" not in own

@@ -37,7 +37,7 @@ def of_directions(wi: Tensor, wo: Tensor) -> dict[str, Tensor]:
 
 
 def of_half_diff(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor, phi_h: Tensor | None = None) -> dict[str, Tensor]:
-    """What is known at once of half and difference angles `(..., N)` of one shape and dtype."""
+    """What is known at once of half and difference angles of one dtype that broadcast."""
     sin_h, cos_h, sin_d, cos_d = theta_h.sin(), theta_h.cos(), theta_d.sin(), theta_d.cos()
     even, odd = cos_h * cos_d, sin_h * sin_d * phi_d.cos()
     return {

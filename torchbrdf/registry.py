@@ -197,8 +197,8 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @property
     def _sources(self) -> Registrations:
-        """What the package's sources say; what its modules have registered where they do not say."""
-        found = registrations(self.package)
+        """What the package's sources say; nothing where its modules, which are all loaded, or do not say, tell."""
+        found = None if self._complete else registrations(self.package)
         if found is None:
             self._own()
         return found or Registrations({}, {})

@@ -184,7 +184,7 @@ def test_every_pair_is_in_one_block_of_its_half_angle():
     angles = pairs.theta_h[0][layout.sample]
     assert torch.equal(angles, angles[:, :1].expand_as(angles))
     spread = layout.spread(pairs.theta_h)
-    assert torch.equal(spread[:, 0], angles)
+    assert torch.equal(spread[:, 0], angles * layout.real)
 
 
 def test_a_lobe_alone_that_is_held_has_no_derivatives():

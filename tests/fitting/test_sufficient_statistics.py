@@ -11,10 +11,10 @@ from helpers.known_models import measured_from
 from torchbrdf import Pairs, fitting
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting import cross_score
+from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.objective import PointwiseObjective, QuadraticObjective
 from torchbrdf.fitting.pair_factors import Groups, factor_kinds
 from torchbrdf.fitting.parameters import Parametrization, free_parameters
-from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import LOBES, Lambert, Sum, make_model
 from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.losses import LOSSES, CompressedLoss, CosineRMSLoss, Loss, Problem, RMSLoss

@@ -37,3 +37,16 @@ def test_a_sample_that_is_not_there_is_said(five: Measured, wrong: int) -> None:
         ten.batch(samples=torch.tensor([0, wrong]))
     with pytest.raises(UsageError, match=r"^batch: expected samples 0 to \d+, found 99999999$"):
         five.batch(samples=torch.tensor([99_999_999]))
+
+
+def test_what_was_read_is_not_read_again(monkeypatch):
+    measured = load(standins()).batch([2, 6])
+    some, limited = torch.tensor([5, -1, 70, 5]), measured.within(50.0)
+    anew = [measured.batch([1], some), measured.batch([1, 0], some), limited, limited.batch([1]).within(20.0)]
+    expected = [(one.values, one.weight) for one in anew]
+    measured.values  # noqa: B018 (read)
+    known = [measured.batch([1], some), measured.batch([1, 0], some), measured.within(50.0)]
+    known.append(known[-1].batch([1]).within(20.0))
+    monkeypatch.setattr(type(measured.source), "read", None)
+    for one, (values, weight) in zip(known, expected, strict=True):
+        assert torch.equal(one.values, values) and torch.equal(one.weight, weight)

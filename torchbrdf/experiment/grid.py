@@ -7,9 +7,9 @@ from pathlib import Path
 
 from torchbrdf.errors import DataError, UsageError, shown
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
+from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.parameters import has_measurable_diffuse
 from torchbrdf.fitting.strategy import Strategy, strategy_name
-from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import FitRecord, make_model, read_fits, write_fits
 from torchbrdf.lobes.model import lobe_count
 from torchbrdf.losses import Loss

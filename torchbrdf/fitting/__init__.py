@@ -9,13 +9,13 @@ if TYPE_CHECKING:
     from torchbrdf.fitting.api import SlowFitWarning, fit
     from torchbrdf.fitting.batches import Batches
     from torchbrdf.fitting.collecting import Collected, collect
+    from torchbrdf.fitting.gathered import Gathered
     from torchbrdf.fitting.global_search import GlobalSearch
     from torchbrdf.fitting.image_driven import ImageDriven
     from torchbrdf.fitting.result import FitResult, write_fits_csv
     from torchbrdf.fitting.sampling import stratified
     from torchbrdf.fitting.scoring import cross_score, local_minima, score
     from torchbrdf.fitting.strategy import STRATEGIES
-    from torchbrdf.fitting.sufficient_statistics import Gathered
     from torchbrdf.fitting.tabulated import TabulatedFit
 
 _HOME = {
@@ -33,7 +33,7 @@ _HOME = {
     "local_minima": "scoring",
     "score": "scoring",
     "STRATEGIES": "strategy",
-    "Gathered": "sufficient_statistics",
+    "Gathered": "gathered",
     "TabulatedFit": "tabulated",
 }
 __all__ = [

@@ -5,9 +5,6 @@ import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,35 +12,29 @@ from torch import Tensor
 from torchbrdf import kinds
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.grain import check_grain, without_grain
 from torchbrdf.fitting.intervals import (
     BOOTSTRAP,
     GAUSS_NEWTON,
-    Intervals,
     check_method,
-    find_intervals,
     joined_intervals,
 )
-from torchbrdf.fitting.noise import noise_records
-from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.parameters import diffuse_components
 from torchbrdf.fitting.result import FitResult
-from torchbrdf.fitting.sampling import stratified
-from torchbrdf.fitting.scoring import errors_seen
+from torchbrdf.fitting.shared import Shared
 from torchbrdf.fitting.strategy import STRATEGIES, Outcome, Stage, Strategy, joined, strategy_name
-from torchbrdf.fitting.sufficient_statistics import Gathered, SufficientStatistics, without_idle_weight
-from torchbrdf.fitting.task import Task
+from torchbrdf.fitting.work import FitSome, Fitted, Subset
 from torchbrdf.lobes import Lambert, Lobe
 from torchbrdf.lobes.in_bands import check_bands, with_channels
 from torchbrdf.lobes.parameter_dict import (
     ParameterDict,
-    canonical,
     get_parameters,
     named_specs,
     take_materials,
     with_parameters,
 )
-from torchbrdf.losses import Loss, Problem, as_loss
+from torchbrdf.losses import Loss, as_loss
 from torchbrdf.measured import Measured
 from torchbrdf.measured.bands import bands_in_words
 from torchbrdf.parallel import Lost
@@ -170,7 +161,7 @@ def fit(
         diffuse = "fit"
     if diffuse == "45:0":
         _set_diffuse(model, measured)
-    subset = _Subset(len(measured.pairs), samples, seed)
+    subset = Subset(len(measured.pairs), samples, seed)
     specs = named_specs(model)
     start = {name: value.clamp(specs[name].lower, specs[name].upper) for name, value in get_parameters(model).items()}
     held = [] if diffuse == "fit" else diffuse_components(model)
@@ -178,12 +169,14 @@ def fit(
     free = sum(spec.size for part in free_components for spec in part.parameter_specs.values())
 
     if gathered is None:
-        gathered = Gathered(measured, [model], [loss], executor)
+        gathered = Gathered(measured, [model], [loss], executor, Shared(0))
     elif not isinstance(gathered, Gathered) or not gathered.is_of(measured):
         raise UsageError(f"fit: gathered: expected a Gathered of these materials within {max_theta:g} degrees")
     sums = None if intervals == BOOTSTRAP else gathered.find(model, loss)
-    work = _FitSome(model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums)
-    found: list[tuple[list[int], _Fitted | Lost]] = []
+    work = FitSome(
+        model, start, loss, subset, strategy, diffuse == "fit", max_iterations, intervals, sums, gathered.shared
+    )
+    found: list[tuple[list[int], Fitted | Lost]] = []
     for rows, one in parallel_map(work, measured, None if sums is None else len(sums.probes), executor):
         found.append((rows, one))
         progress(sum(len(rows) for rows, _ in found), len(measured))
@@ -214,7 +207,7 @@ def fit(
         intervals=intervals_found,
         wavelengths=measured.wavelengths,
         reading=[measured.source.reading(material) for material in measured.materials],
-        noise=noise_records(measured, loss, seed),
+        noise=gathered.noise.of(loss, seed),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -251,111 +244,11 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True)
-class _Subset:
-    """The pairs that a solver works on: so many of all, and the seed by which they are drawn."""
-
-    total: int
-    samples: int | None
-    seed: int
-
-    def index(self, loss: Loss) -> Tensor | None:
-        """Which of the pairs; None: all."""
-        return stratified(self.total, self.samples, self.seed) if loss.supports_subsampling else None
-
-    def size(self, loss: Loss) -> int | None:
-        """How many of the pairs; None: all."""
-        index = self.index(loss)
-        return None if index is None else len(index)
-
-
-class _Fitted(NamedTuple):
-    values: ParameterDict
-    outcome: Outcome
-    error: Tensor
-    subset_error: Tensor
-    counts: Tensor
-    intervals: dict[str, Intervals]
-
-
-@dataclass
-class _FitSome:
-    """The fit of some materials, the work of one thread or process at a time."""
-
-    model: Lobe
-    start: ParameterDict
-    loss: Loss
-    subset: _Subset
-    strategy: str | Strategy
-    fit_diffuse: bool
-    max_iterations: int
-    intervals: str
-    sums: SufficientStatistics | None
-
-    def __call__(self, rows: list[int], measured: Measured) -> _Fitted:
-        """The fits of these rows of all materials, of which `measured` is that part."""
-        values = take_materials(self.start, rows)
-        part = with_parameters(self.model, values)
-        if self.sums is not None:
-            return self._by_sums(part, values, measured, self.sums.select(rows))
-        loss = self.loss
-        whole, some = self._problems(measured, loss)
-        task = self._task(part, measured, whole, some, loss)
-        outcome = self._run(task, values)
-        fitted = with_parameters(part, outcome.values)
-        values, counts, free = get_parameters(fitted), _counts(whole), task.all_free(self.fit_diffuse)
-        seen = whole if some is None else some
-        subset_error = errors_seen(fitted, seen, loss, task.objective, free)
-        error = subset_error if some is None else errors_seen(fitted, whole, loss, task.full, free)
-        intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
-        return _Fitted(values, outcome, error, subset_error, counts, intervals)
-
-    def _by_sums(self, part: Lobe, values: ParameterDict, measured: Measured, sums: SufficientStatistics) -> _Fitted:
-        """The fits from sufficient statistics: all pairs from the first step on."""
-        objective = QuadraticObjective(sums, self.loss)
-        task = Task(
-            part,
-            objective,
-            max_iterations=self.max_iterations,
-            under=partial(self._task_under, part, measured),
-        )
-        outcome = self._run(task, values)
-        fitted = with_parameters(part, {name: value.to(values[name]) for name, value in outcome.values.items()})
-        error, values = objective.errors(fitted), get_parameters(fitted)
-        free = task.all_free(self.fit_diffuse)
-        intervals = find_intervals(self.intervals, objective, values, free, sums.counts, self.subset.seed)
-        return _Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals)
-
-    def _run(self, task: Task, values: ParameterDict) -> Outcome:
-        """What the strategy finds."""
-        run = STRATEGIES[self.strategy] if isinstance(self.strategy, str) else self.strategy
-        outcome = run(task, values, self.fit_diffuse)
-        if not isinstance(outcome, Outcome):
-            found = type(outcome).__name__
-            raise UsageError(f"strategy {strategy_name(self.strategy)}: expected an Outcome from it, found {found}")
-        outcome.values = canonical(task.model, outcome.values)
-        return outcome
-
-    def _problems(self, measured: Measured, loss: Loss) -> tuple[Problem, Problem | None]:
-        """What a loss asks of these materials: all of it, and the part that the solver sees, if that is not all."""
-        whole, index = without_idle_weight(loss.problem(measured)), self.subset.index(loss)
-        return whole, None if index is None else loss.select(whole, index.to(measured.device))
-
-    def _task(self, model: Lobe, measured: Measured, whole: Problem, some: Problem | None, loss: Loss) -> Task:
-        full = make_objective(model, whole, loss)
-        seen = full if some is None else make_objective(model, some, loss)
-        under = partial(self._task_under, model, measured)
-        return Task(model, seen, None if some is None else full, self.max_iterations, under)
-
-    def _task_under(self, model: Lobe, measured: Measured, loss: Loss) -> Task:
-        return self._task(model, measured, *self._problems(measured, loss), loss)
-
-
 def _with_lost(
-    found: list[tuple[list[int], _Fitted | Lost]], start: ParameterDict, reasons: dict[int, str]
-) -> list[_Fitted]:
+    found: list[tuple[list[int], Fitted | Lost]], start: ParameterDict, reasons: dict[int, str]
+) -> list[Fitted]:
     """Batches with, in the place of those whose processes died, where they began, without an error; says so."""
-    kept = next((one for _, one in found if isinstance(one, _Fitted)), None)
+    kept = next((one for _, one in found if isinstance(one, Fitted)), None)
     stages = kept.outcome.stages if kept else [Stage("lost", [], [], [])]
     done = []
     for rows, one in found:
@@ -367,12 +260,12 @@ def _with_lost(
             lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
             values = take_materials(start, rows)
             starts = kept.outcome.starts if kept else 0
-            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {})
+            one = Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {})
         done.append(one)
     return done
 
 
-def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta: float) -> list[Status]:
+def _statuses(done: list[Fitted], reasons: dict[int, str], free: int, max_theta: float) -> list[Status]:
     """How each material's fit ended, with the reason, where it is none, added to `reasons`; free: parameters fitted."""
     status = [found.outcome.status(k) for found in done for k in range(len(found.error))]
     error = torch.cat([found.error for found in done])
@@ -390,13 +283,6 @@ def _statuses(done: list[_Fitted], reasons: dict[int, str], free: int, max_theta
         elif status[k] != Status.CONVERGED:
             reasons[k] = REASONS[status[k]]
     return status
-
-
-def _counts(problem: Problem) -> Tensor:
-    """Valid values of each material, `(M,)`."""
-    if problem.weight is None:
-        return torch.full((len(problem.target),), problem.target.shape[1:].numel(), dtype=torch.int64, device="cpu")
-    return (problem.weight > 0).expand(len(problem.target), -1, problem.target.shape[-1]).sum((1, 2)).cpu()
 
 
 def _check_start(model: Lobe) -> dict[int, str]:

@@ -5,9 +5,10 @@ lobes, of several coloured terms for others. All derivatives then follow from a 
 derivatives by the lobes' scalars, which all channels share, and from how the A_cj change, which no pair knows.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 
 import torch
 from torch import Tensor
@@ -53,6 +54,11 @@ class _Part:
             self.terms, self.slopes = own.terms, [(name, j) for name, js in known if name in self.free for j in js]
             self.moves_coefficients = any(self.names[name] in self.free for name in own.parameters)
 
+    @property
+    def own_free(self) -> set[str]:
+        """The parameters that are moved, by their own names."""
+        return {name for name, full in self.names.items() if full in self.free}
+
     def coefficients(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
         """A of this component, `(R, C, J)`."""
         if self.color is not None:
@@ -86,6 +92,20 @@ class _Part:
         return {name: values[full].to(dtype).expand(-1, *specs[name].shape) for name, full in self.names.items()}
 
 
+def responses_of(
+    parts: Sequence[_Part], pairs: Pairs, values: ParameterDict, dtype: torch.dtype
+) -> tuple[list[Tensor], list[Tensor]]:
+    """`_Part.responses` of parts that are alike, all in one call: those of one after those of the other, `(K R, N)`."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first.responses(pairs, values, dtype)
+    own = {
+        name: torch.cat([values[part.scalars[k]].expand(-1, size) for part in parts])
+        for k, (name, size) in enumerate(zip(first.scalars, first.sizes, strict=True))
+    }
+    return first.responses(pairs, own, dtype)
+
+
 class Basis:
     """The responses of the components that are present, and how they make up predictions and derivatives.
 
@@ -107,6 +127,7 @@ class Basis:
         self.parts = sorted(parts, key=lambda part: not part.moves_coefficients)
         self.slopes = [slope for part in self.parts for slope in part.slopes]
         self.terms = sum(part.terms for part in self.parts)
+        self.alike = [list(own) for _, own in groupby(self.parts, lambda part: (part.kind, frozenset(part.own_free)))]
         self.used = len(self.slopes) + sum(part.terms for part in self.parts if part.moves_coefficients)
 
     def albedos(self, values: ParameterDict, dtype: torch.dtype) -> Tensor:
@@ -128,12 +149,12 @@ class Basis:
 
     def jacobian(self, values: ParameterDict, albedos: Tensor) -> Tensor:
         """How the used responses make up the derivative of each channel by each of P free numbers, `(R, C, Q, P)`."""
-        found = self._constant.to(albedos).repeat(len(albedos), 1, 1, 1)
-        for names, rows, columns, terms in self._of_scalars:
-            slope = albedos[:, :, terms]
-            if names:
-                slope = slope * torch.cat([values[name] for name in names], 1).to(albedos)[:, None]
-            found[:, :, rows, columns] = slope
+        found = (albedos.flatten(0, 1) @ self._of_scalars.to(albedos.device)).view(len(albedos), *self._constant.shape)
+        logs, spread, others = self._logs
+        if logs:
+            rate = torch.cat([values[name] for name in logs], 1).to(albedos)
+            found = found * torch.addmm(others.to(albedos.device), rate, spread.to(albedos.device))[:, None, None]
+        found = found + self._constant.to(albedos.device)
         for part, first in zip(self.parts, self._first_terms, strict=True):
             if part.color is None:
                 self._add_coefficients(found, part, first, values, albedos)
@@ -141,31 +162,35 @@ class Basis:
 
     @cached_property
     def _constant(self) -> Tensor:
-        """What of the jacobian is always the same, as values are linear in colours, `(1, C, Q, P)`."""
+        """What of the jacobian is always the same, as values are linear in colours, `(C, Q, P)`."""
         size = self.used, sum(one.width for one in self.free)
-        found = torch.zeros(1, self.channels, *size, dtype=torch.float64, device="cpu")
+        found = torch.zeros(self.channels, *size, dtype=torch.float64, device="cpu")
         for part, first in zip(self.parts, self._first_terms, strict=True):
             for name, one, columns in self._columns:
                 if part.color is not None and name == part.color:
                     for channel in range(self.channels):
                         column = columns.start + (channel if one.width > 1 else 0)
-                        found[:, channel, len(self.slopes) + first, column] = 1
+                        found[channel, len(self.slopes) + first, column] = 1
         return found
 
     @cached_property
-    def _of_scalars(self) -> list[tuple[list[str], list[int], list[int], list[int]]]:
-        """Where scalars of lobes with a colour are: their names, if logarithms are moved; rows, columns and terms."""
-        found: dict[bool, list[tuple[str, int, int, int]]] = {True: [], False: []}
+    def _of_scalars(self) -> Tensor:
+        """Which coefficients a derivative by a scalar of a lobe with a colour is multiplied by, `(terms, Q P)`."""
+        found = torch.zeros(self.terms, *self._constant.shape[1:], dtype=torch.float64, device="cpu")
         for part, first in zip(self.parts, self._first_terms, strict=True):
-            for name, one, columns in self._columns:
+            for name, _, columns in self._columns:
                 if part.color is not None and name != part.color and name in part.free:
-                    found[one.spec.log].append((name, self._rows[name, 0], columns.start, first))
-        made = []
-        for is_log, own in found.items():
-            if own:
-                names, rows, columns_, terms = (list(each) for each in zip(*own, strict=True))
-                made.append((names if is_log else [], rows, columns_, terms))
-        return made
+                    found[first, self._rows[name, 0], columns.start] = 1
+        return found.flatten(1)
+
+    @cached_property
+    def _logs(self) -> tuple[list[str], Tensor, Tensor]:
+        """Scalars whose logarithms are moved, which of P numbers each is, `(k, P)`, and 1 for the other numbers."""
+        scalars = {name for part in self.parts if part.color is not None for name in part.scalars}
+        found = {columns.start: name for name, one, columns in self._columns if one.spec.log and name in scalars}
+        spread = torch.zeros(len(found), sum(one.width for one in self.free), dtype=torch.float64, device="cpu")
+        spread[range(len(found)), list(found)] = 1
+        return list(found.values()), spread, 1 - spread.sum(0)
 
     @cached_property
     def _first_terms(self) -> list[int]:

@@ -32,7 +32,7 @@ def material_batches(measured: Measured, pairs: int) -> Iterator[list[int]]:
     else:
         threads = torch.get_num_threads()
         rounds = max(1, -(-materials // (max(1, MEMORY // pairs) * threads)))
-        size = max(1, -(-materials // (rounds * threads * 2)))
+        size = max(1, -(-materials // (rounds * threads)))
     for first in range(0, materials, size):
         yield list(range(first, min(first + size, materials)))
 

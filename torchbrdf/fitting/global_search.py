@@ -32,8 +32,8 @@ class GlobalSearch:
         beam: combinations of lobes that are extended by one more, from the third on.
         coarse_samples: that starts are tried on.
         kept: how many different minima go on from there, and how many at most to all samples.
-        share: one in so many of all samples is between the subset and all of them, where steps are cheap, and few are
-            left to do.
+        share: one in so many of all samples, or twice the subset, is between the subset and all of them, where steps
+            are cheap, and few are left to do.
         same: errors that differ by less belong to the same minimum.
         near_optimal: minima within so much of the best are worth another look.
         quasi_random: starts all over the bounds of a model that the dictionary serves badly, as one of its lobes has
@@ -53,7 +53,7 @@ class GlobalSearch:
     beam: int = 8
     coarse_samples: int = 4_000
     kept: int = 3
-    share: int = 6
+    share: int = 12
     same: float = 1e-4
     near_optimal: float = 0.01
     quasi_random: int = 32
@@ -81,7 +81,7 @@ class GlobalSearch:
         *_, (_, staged, _) = stages(task, values, fit_diffuse, quickly)
         candidates = self._starts(task, coarse, values, free, fit_diffuse).joined(objective.material_indices, staged)
         outcome.starts = int(torch.bincount(candidates.materials).max())
-        errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:2])
+        errors = candidates.refine(coarse, max_iterations=30, ftol=1e-5, widths=widths[:1])
         outcome.add(f"{outcome.starts} starts, {coarse.describe_size()}", *candidates.best(errors))
         candidates.prune(errors, self.kept, 1.0)
         last = smooth.ftol if task.full is None else 1e-6
@@ -127,9 +127,10 @@ class GlobalSearch:
         """The minima that are close to the best, on ever more samples."""
         near, count = self.near_optimal, len(full.problem.pairs)
         last = full.loss.smoothing_widths[-1:]
-        if count // self.share >= 2 * len(task.objective.problem.pairs):
+        some = max(count // self.share, 2 * len(task.objective.problem.pairs))
+        if count >= 3 * some:
             candidates.prune(errors, self.kept, near)
-            between, near = full.subsample(count // self.share, 1), near / 5
+            between, near = full.subsample(some, 1), near / 5
             errors = candidates.refine(between, max_iterations=50, ftol=1e-7, widths=last)
             outcome.add(between.describe_size(), *candidates.best(errors))
         candidates.prune(errors, self.kept, near)

@@ -6,7 +6,7 @@ apart, so that lobes are evaluated as anywhere else, but at a few hundred pairs 
 """
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf.errors import UsageError
-from torchbrdf.fitting.basis import Basis
+from torchbrdf.fitting.basis import Basis, responses_of
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
 from torchbrdf.pairs import Pairs
@@ -109,6 +109,7 @@ class Probes:
 
     pairs: Pairs
     inverse: Tensor
+    _constant: list[Tensor] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, kind: type[Lobe], pairs: Pairs, groups: Groups) -> "Probes":
@@ -118,10 +119,24 @@ class Probes:
 
     def coefficients(self, responses: Tensor) -> Tensor:
         """The H_j of terms or their derivatives, from their values at the probes `(m, K, G J)`, `(m, K, G, J)`."""
-        groups = len(self.inverse)
         if self.inverse.shape[1] == 1:
             return (responses * self.inverse.flatten())[..., None]
-        return (responses.unflatten(2, (groups, 1, -1)) @ self.inverse)[..., 0, :]
+        return rows_times(responses.unflatten(2, (len(self.inverse), -1)), self.inverse)
+
+    def constant(self, kind: type[Lobe]) -> Tensor:
+        """The H_j of the terms of a kind that has no scalars, `(1, K, G, J)`."""
+        if not self._constant:
+            terms = [kind.unit_response(self.pairs)] if kind.albedo_spec() is not None else kind.terms(self.pairs)
+            self._constant.append(self.coefficients(torch.stack([one.expand(1, -1) for one in terms], 1)))
+        return self._constant[0]
+
+
+def rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
+    """Rows `(..., J)` times a matrix of few columns each, `(..., J, K)`: products of numbers, as calls take longer."""
+    found = rows[..., :1] * matrix[..., 0, :]
+    for j in range(1, matrix.shape[-2]):
+        found = found.addcmul_(rows[..., j : j + 1], matrix[..., j, :])
+    return found
 
 
 def coefficients(basis: Basis, probes: Mapping[type[Lobe], Probes], values: ParameterDict, problems: int) -> Tensor:
@@ -132,13 +147,21 @@ def coefficients(basis: Basis, probes: Mapping[type[Lobe], Probes], values: Para
     shape = (problems, len(basis.slopes) + basis.terms, groups, sum(sizes.values()))
     found = torch.zeros(shape, dtype=torch.float64, device=next(iter(values.values())).device)
     slope, term = 0, len(basis.slopes)
-    for part in basis.parts:
-        own, columns = probes[part.kind], slice(firsts[part.kind], firsts[part.kind] + sizes[part.kind])
-        slopes, terms = part.responses(own.pairs, values, torch.float64)
-        there = own.coefficients(torch.stack([one.expand(problems, -1) for one in (*slopes, *terms)], 1))
-        found[:, slope : slope + len(slopes), :, columns] = there[:, : len(slopes)]
-        found[:, term : term + len(terms), :, columns] = there[:, len(slopes) :]
-        slope, term = slope + len(slopes), term + len(terms)
+    for parts in basis.alike:
+        kind, count = parts[0].kind, len(parts)
+        own, columns = probes[kind], slice(firsts[kind], firsts[kind] + sizes[kind])
+        if not parts[0].scalars:  # terms that are always the same
+            found[:, term : term + count * parts[0].terms, :, columns] = own.constant(kind)
+            term += count * parts[0].terms
+            continue
+        slopes, terms = responses_of(parts, own.pairs, values, torch.float64)
+        there = own.coefficients(torch.stack([one.expand(count * problems, -1) for one in (*slopes, *terms)], 1))
+        there = there.unflatten(0, (count, problems)).transpose(0, 1)
+        for first, some in ((slope, there[:, :, : len(slopes)]), (term, there[:, :, len(slopes) :])):
+            if some.shape[2]:
+                rows = slice(first, first + count * some.shape[2])
+                found[:, rows, :, columns] = some.flatten(1, 2)
+        slope, term = slope + count * len(slopes), term + count * len(terms)
     return found
 
 

@@ -8,13 +8,13 @@ from torch import Tensor
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis, predictor
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.objective import FitObjective, QuadraticObjective
 from torchbrdf.fitting.objective.factored import LEAST_PAIRS
 from torchbrdf.fitting.objective.pointwise import PointwiseObjective
 from torchbrdf.fitting.pair_factors import Probes, coefficients, factor_kinds, factors_of, groups_of, probes_of
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sampling import chunked
-from torchbrdf.fitting.sufficient_statistics import Gathered
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, take_materials, with_parameters
 from torchbrdf.losses import Loss, Problem

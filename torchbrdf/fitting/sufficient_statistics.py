@@ -8,32 +8,24 @@ MERL's 900,000 bins 85 groups with a few probes each are left, in float64.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchbrdf.fitting import channels
-from torchbrdf.fitting.batching import parallel_map
-from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.layout import Layout, spread_factors
 from torchbrdf.fitting.pair_factors import (
     Groups,
     Probes,
     chosen_probes,
-    factor_kinds,
-    factors_of,
-    groups_of,
     kept,
     probes_of,
 )
 from torchbrdf.lobes import Lobe
 from torchbrdf.losses import Loss, Problem
-from torchbrdf.measured import Measured
 from torchbrdf.pairs import Pairs
-from torchbrdf.parallel import Lost
 
 # Pairs of a group, on average, from which on sums are worth their pass.
 LEAST_PAIRS = 64
@@ -93,82 +85,11 @@ class SufficientStatistics:
 _OF_MATERIALS = ("gram", "right", "zero", "total", "counts")
 
 
-class Gathered:
-    """The sufficient statistics of materials for several models and losses, made in one pass when they are asked for.
-
-    Args:
-        measured: M materials, within the angle that fits shall see.
-        models: what may be fitted.
-        losses: under which.
-        executor: what works on the materials, as of `torchbrdf.fit`.
-
-    Example:
-        >>> from torchbrdf.lobes import make_model
-        >>> from torchbrdf.losses import LogLoss, RMSLoss
-        >>> from torchbrdf.measured import load, standins
-        >>> rms, models = RMSLoss(), [make_model("ward", 2), make_model("ggx", 2)]
-        >>> gathered = Gathered(load(standins()).batch([6]).within(20.0), models, [rms, LogLoss()])
-        >>> [gathered.find(model, rms) is None for model in models]
-        [False, True]
-    """
-
-    def __init__(
-        self, measured: Measured, models: Sequence[Lobe], losses: Sequence[Loss], executor: Executor | None = None
-    ) -> None:
-        self.measured, self.executor = measured, executor
-        self.kinds = tuple(dict.fromkeys(kind for model in models for kind in factor_kinds(model)))
-        self.losses = [loss for loss in losses if loss.is_quadratic]
-
-    def is_of(self, measured: Measured) -> bool:
-        """Whether these are the sums of just these samples of just these materials."""
-        own = self.measured
-        same = own.samples is measured.samples or (
-            own.samples is not None and measured.samples is not None and torch.equal(own.samples, measured.samples)
-        )
-        return (
-            same
-            and own.source is measured.source
-            and own.materials == measured.materials
-            and (own.max_theta == measured.max_theta)
-        )
-
-    def find(self, model: Lobe, loss: Loss) -> SufficientStatistics | None:
-        """Those of a model under a loss; None where there are none, and the pairs themselves are needed."""
-        kinds = factor_kinds(model)
-        if not kinds or not {*kinds} <= {*self.kinds} or not any(one is loss for one in self.losses):
-            return None
-        by_loss = self._by_loss
-        return by_loss[id(loss)].of_kinds(kinds) if by_loss else None
-
-    @cached_property
-    def _by_loss(self) -> dict[int, SufficientStatistics]:
-        """By the losses' identities."""
-        groups = groups_of(self.measured.pairs, LEAST_PAIRS)
-        if groups is None:
-            return {}
-        work = partial(_gathered, self.losses, self.kinds)
-        found = [part for _, part in parallel_map(work, self.measured, None, self.executor)]
-        if any(isinstance(part, Lost) for part in found):
-            return {}  # a process died over one of them; a fit says of which
-        joined = [SufficientStatistics.joined(parts) for parts in zip(*found, strict=True)]
-        return {id(loss): own for loss, own in zip(self.losses, joined, strict=True)}
-
-
 def without_idle_weight(problem: Problem) -> Problem:
     """Weights that are all 1 say nothing: leave them out of every step."""
     if problem.weight is not None and bool((problem.weight == 1).all()):
         return Problem(problem.pairs, problem.target)
     return problem
-
-
-def _gathered(
-    losses: Sequence[Loss], kinds: Sequence[type[Lobe]], rows: list[int], measured: Measured
-) -> list[SufficientStatistics]:
-    """Of some materials, for each loss."""
-    problem = without_idle_weight(Problem(measured.pairs, measured.values, measured.weight))
-    groups = groups_of(problem.pairs, LEAST_PAIRS)
-    assert groups is not None
-    return gather_statistics(problem, losses, kinds, groups)
 
 
 def gather_statistics(
@@ -177,24 +98,18 @@ def gather_statistics(
     """One pass over all pairs: the sums of each group under each loss, and the group's probes."""
     pairs, materials = problem.pairs, len(problem.target)
     layout = kept(pairs, Layout, lambda: Layout(pairs, groups))
-    factors = kept(pairs, (gather_statistics, *kinds), lambda: _spread_factors(pairs, layout, kinds))
+    factors = torch.cat([spread_factors(kind, pairs, layout) for kind in kinds], 1)
     probes, at_probes = kept(pairs, (Probes, *kinds), lambda: chosen_probes(kinds, pairs, groups))
     sums = [_Sums(problem, loss, layout, factors) for loss in losses]
+    spread = layout.spread(problem.target.mT)
     for part in layout.parts(materials * problem.target.shape[2]):
-        sample = layout.sample[part]
-        target = problem.target[:, sample.flatten()].unflatten(1, sample.shape).permute(1, 0, 3, 2).double()
+        target = spread[part].double()
         for own in sums:
             own.add(part, target)
     known, there = ({kind: probes_of(kind, pairs, groups) for kind in kinds}, probes, at_probes), problem.weight
     counts = problem.target.new_full((materials,), len(pairs)) if there is None else (there > 0).sum((1, 2)).double()
     counts = problem.target.shape[2] * counts.expand(materials)
     return [SufficientStatistics(*known, *own.totals(), counts) for own in sums]
-
-
-def _spread_factors(pairs: Pairs, layout: Layout, kinds: Sequence[type[Lobe]]) -> Tensor:
-    """The B_j of all kinds in blocks, `(B, J, size)`, 0 in what fills up; in single precision if pairs are."""
-    found = torch.cat([factors_of(kind, pairs) for kind in kinds])
-    return layout.spread(found) * layout.real[:, None]
 
 
 class _Sums:
@@ -212,7 +127,7 @@ class _Sums:
         counted = counted.expand(-1, -1, len(pairs))
         self.total = target.shape[2] * counted.sum((1, 2), dtype=torch.float64).expand(len(target))
         square = counted * rate.to(counted).square()
-        self.counted = layout.spread(square[:, 0]) * layout.real[:, None]
+        self.counted = layout.spread(square[:, 0])
         self.zero = torch.zeros(len(target), dtype=torch.float64, device=target.device)
         count = factors.shape[1]
         shape = (len(layout.groups), len(self.counted[0]), count)

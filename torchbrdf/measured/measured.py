@@ -31,8 +31,11 @@ def reading_45_0() -> Pairs:
     return Pairs.from_half_diff(angle, angle, torch.zeros_like(angle), torch.zeros_like(angle))
 
 
-# The samples of shared pairs that were asked for last, with device and dtype.
-_LAST: WeakKeyDictionary[Pairs, tuple[tuple[torch.device, torch.dtype], Tensor | None, Pairs]] = WeakKeyDictionary()
+# The samples of shared pairs that were asked for last, with device and dtype, the last ones first.
+_LAST: WeakKeyDictionary[Pairs, list[tuple[tuple[torch.device, torch.dtype], Tensor | None, Pairs]]] = (
+    WeakKeyDictionary()
+)
+_SELECTIONS = 3
 
 
 def _same(one: Tensor | None, other: Tensor | None) -> bool:
@@ -79,6 +82,7 @@ class Measured:
         self.max_theta = max_theta
         self.dtype = dtype or torch.get_default_dtype()
         self.device = torch.device(device or "cpu")
+        self._whole: tuple[tuple[Tensor, Tensor], list[int], Tensor] | None = None
 
     @classmethod
     def from_samples(
@@ -233,19 +237,22 @@ class Measured:
         Raises:
             UsageError: There is no such material or sample.
         """
-        chosen = self.materials if materials is None else [self.materials[row_of(k, len(self))] for k in materials]
+        rows = list(range(len(self))) if materials is None else [row_of(k, len(self)) for k in materials]
+        own = self.samples
         if samples is not None:
-            samples = samples_of(samples, len(self.source.pairs) if self.samples is None else len(self.samples))
-        if samples is not None and self.samples is not None:
-            samples = self.samples[samples.to(self.samples.device)]
-        found = self._view(materials=chosen, samples=self.samples if samples is None else samples)
-        if samples is None and "_data" in self.__dict__:
-            found._take_data(self, range(len(self)) if materials is None else [row_of(k, len(self)) for k in materials])
+            samples = samples_of(samples, len(self.source.pairs) if own is None else len(own))
+            own = samples if own is None else own[samples.to(own.device)]
+        found = self._view(materials=[self.materials[k] for k in rows], samples=own)
+        found._take_data(self, rows, samples)
         return found
 
-    def _take_data(self, other: "Measured", rows: Sequence[int]) -> None:
-        """What another has read need not be read again, where these rows of it are one slice: no copy."""
-        if rows and list(rows) == list(range(rows[0], rows[-1] + 1)):
+    def _take_data(self, other: "Measured", rows: list[int], samples: Tensor | None) -> None:
+        """What another has read need not be read again: a view where these rows of it are one slice of all samples."""
+        if "_data" not in other.__dict__ and other._whole is None:
+            return
+        if samples is not None:
+            self._whole = other._data, rows, samples
+        elif rows and rows == list(range(rows[0], rows[-1] + 1)):
             values, weight = other._data
             self._data = values[rows[0] : rows[-1] + 1], weight[rows[0] : rows[-1] + 1]
 
@@ -267,9 +274,10 @@ class Measured:
         limited = self._view(max_theta=min(max_theta, self.max_theta))
         if max_theta < 90 and pairs.shape[0] == 1:
             keep = self._low(pairs, max_theta)[0]
-            every = torch.arange(len(pairs), dtype=torch.int64, device="cpu")
-            samples = every if self.samples is None else self.samples.cpu()
-            limited.samples = samples[keep[samples]]
+            keep = keep if self.samples is None else keep[self.samples.cpu()]
+            samples = keep.nonzero()[:, 0]
+            limited.samples = samples if self.samples is None else self.samples.cpu()[samples]
+            limited._take_data(self, list(range(len(self))), samples)
         return limited
 
     @staticmethod
@@ -291,13 +299,20 @@ class Measured:
         if source.shape[0] > 1:
             return source.select(self.materials, self.samples).to(self.device, self.dtype)
         # Batches of a database have the same again and again, with what lobes and fits made of them.
-        key, former = (self.device, self.dtype), _LAST.get(source)
-        if former is None or former[0] != key or not _same(former[1], self.samples):
-            _LAST[source] = key, self.samples, source.select(samples=self.samples).to(self.device, self.dtype)
-        return _LAST[source][2]
+        key, last = (self.device, self.dtype), _LAST.get(source, [])
+        known = next((one for one in last if one[0] == key and _same(one[1], self.samples)), None)
+        known = known or (key, self.samples, source.select(samples=self.samples).to(self.device, self.dtype))
+        _LAST[source] = [known, *(one for one in last if one is not known)][:_SELECTIONS]
+        return known[2]
 
     @cached_property
     def _data(self) -> tuple[Tensor, Tensor]:
+        if self._whole is not None:
+            known, rows, index = self._whole
+            self._whole = None  # and with it what others have read
+            values, weight = (one[rows] if rows != list(range(len(one))) else one for one in known)
+            index = index.to(self.device)
+            return values.index_select(1, index), weight.index_select(1, index)
         samples = slice(None) if self.samples is None else self.samples.cpu()
         shape = (len(self), len(self.source.pairs if self.samples is None else self.samples))
         values = torch.empty(*shape, self.channels, dtype=self.dtype, device=self.device)

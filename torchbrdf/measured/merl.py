@@ -23,6 +23,7 @@ from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks, nearest_rows, nearest_valid, neighbours, normalized, weighted_rows
 from torchbrdf.pairs import Pairs
 from torchbrdf.precision import undisturbed
+from torchbrdf.quantities import of_half_diff
 from torchbrdf.reading import reading
 
 BINS = (90, 90, 180)
@@ -172,9 +173,9 @@ class Merl(BrdfFormat):
             return [np.empty(0)] * 3
         slab, count = self.layout.slab, self.layout.entries
         start, stop = int(bins.min()) // slab * slab, (int(bins.max()) // slab + 1) * slab
-        path = self.paths[material]
+        path, place = self.paths[material], bins - start
         with reading(path, "a MERL table"), path.open("rb") as file:
-            return [self._entries(file, k * count + start, stop - start)[bins - start] for k in range(3)]
+            return [self._entries(file, k * count + start, stop - start).take(place) for k in range(3)]
 
     def _entries(self, file: BinaryIO, start: int, count: int) -> np.ndarray:
         """Entries from one on; a DataError if the file ends before: it was cut short since it was opened."""
@@ -190,28 +191,26 @@ class Merl(BrdfFormat):
         part = list(self._raw(material)) if isinstance(bins, slice) else self._some(material, bins)
         valid = _valid(part) & self._above[bins]
         rows: np.ndarray = np.empty((len(valid), 4), dtype)
-        with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
-            for channel, scale in enumerate(CHANNEL_SCALES):
-                np.multiply(part[channel], scale, out=rows[:, channel], casting="same_kind")
-        rows[:, 3] = 1
-        rows[~valid] = 0
+        for channel, scale in enumerate(CHANNEL_SCALES):
+            rows[:, channel] = np.where(valid, part[channel], 0) * scale
+        rows[:, 3] = valid
         return rows
 
     def read(self, materials: list[int], samples: Tensor | slice) -> tuple[Tensor, Tensor]:
         """Values and weights at the bin centres, float64; only these bins are read."""
         bins = _bin_rows(self.layout.bins)[samples].numpy()
-        values = np.empty((len(materials), len(bins), 3))
+        values = np.empty((len(materials), 3, len(bins)))
         weights = np.empty((len(materials), len(bins), 1))
         for k, material in enumerate(materials):
             part = self._some(material, bins)
             valid = _valid(part)
             with np.errstate(invalid="ignore", over="ignore"):  # of invalid entries
                 for channel, scale in enumerate(CHANNEL_SCALES):
-                    np.multiply(part[channel], scale, out=values[k, :, channel])
+                    np.multiply(part[channel], scale, out=values[k, channel])
             if not valid.all():
-                values[k, ~valid] = 0
+                values[k][:, ~valid] = 0
             weights[k, :, 0] = valid
-        return torch.from_numpy(values), torch.from_numpy(weights)
+        return torch.from_numpy(values).mT, torch.from_numpy(weights)
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, trilinear or nearest in theta_h^(1/2), theta_d and phi_d, from the valid neighbours.
@@ -339,9 +338,9 @@ def above_horizon(bins: tuple[int, int, int] = BINS) -> np.ndarray:
 @lru_cache(2)
 @undisturbed()
 def _bin_centers(bins: tuple[int, int, int]) -> Pairs:
-    place = np.nonzero(_above_horizon(bins).reshape(bins))
-    angles = [torch.from_numpy(centre[i])[None] for centre, i in zip(_centres(bins), place, strict=True)]
-    return Pairs.from_half_diff(*angles)
+    theta_h, theta_d, phi_d = (torch.from_numpy(centre) for centre in _centres(bins))
+    known = of_half_diff(theta_h[:, None, None], theta_d[:, None], phi_d)  # sines of so many angles as bins have
+    return Pairs(**{name: value.expand(bins).flatten()[_bin_rows(bins)][None] for name, value in known.items()})
 
 
 @lru_cache(2)

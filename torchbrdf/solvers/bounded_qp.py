@@ -30,7 +30,8 @@ def solve_bounded_qp(matrix: Array, gradient: Array, lower: Array, upper: Array)
     """
     size, shape = matrix.shape[-1], gradient.shape
     matrix, gradient = matrix.reshape(-1, size, size), gradient.reshape(-1, size)
-    lower, upper = (np.broadcast_to(bound, shape).reshape(-1, size) for bound in (lower, upper))
+    whole = (bound if bound.shape == shape else np.broadcast_to(bound, shape) for bound in (lower, upper))
+    lower, upper = (bound.reshape(-1, size) for bound in whole)
     return _pivot(matrix, gradient, lower, upper).reshape(shape)
 
 

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import torch
@@ -52,7 +53,7 @@ class FitObjective(ABC):
         Values are in units of `zero_prediction_error`. materials: `(R,)`, which each is of; None: all, in their order.
         """
 
-    @property
+    @cached_property
     def material_indices(self) -> Tensor:
         """The materials, `(M,)`."""
         return torch.arange(len(self), dtype=torch.int64, device=self.problem.target.device)
@@ -74,7 +75,15 @@ class FitObjective(ABC):
         index = stratified(len(self.problem.pairs), samples, seed)
         if index is None:
             return self
-        return type(self)(self.problem.select(samples=index.to(self.problem.target.device)), self.loss)
+        if (samples, seed) not in self._parts:
+            part = self.problem.select(samples=index.to(self.problem.target.device))
+            self._parts[samples, seed] = type(self)(part, self.loss)
+        return self._parts[samples, seed]
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], Self]:
+        """Subsets that were made, by their sizes and seeds: the same for all models."""
+        return {}
 
 
 class GaussNewtonObjective(FitObjective):
@@ -155,6 +164,8 @@ class BoundObjective:
 
     def __post_init__(self) -> None:
         self._basis = Basis(self.parametrization)
+        moved = {name for one in self.parametrization.free for name in one.names}
+        self._held = {name: value for name, value in self.values.items() if name not in moved}
 
     def value_and_gradient(self, x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Value and gradient of the loss itself, not rounded."""
@@ -167,5 +178,5 @@ class BoundObjective:
     def _evaluate(
         self, x: Tensor, rows: Tensor, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor]:
-        here = take_materials(self.values, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
+        here = take_materials(self._held, rows) | self.parametrization.decode(x, self.objective.problem.target.dtype)
         return self.objective.evaluate(self._basis, here, self.materials[rows], self.scale[rows], width, curvature)

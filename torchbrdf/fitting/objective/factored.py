@@ -8,6 +8,7 @@ over 85 small matrices. Pairs lie in blocks of one group each, so that these sum
 
 import inspect
 import math
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from torchbrdf.fitting import channels
 from torchbrdf.fitting.basis import Basis
-from torchbrdf.fitting.layout import Layout
+from torchbrdf.fitting.layout import Layout, spread_factors
 from torchbrdf.fitting.pair_factors import Groups, coefficients, factors_of, kept, probes_of
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import ParameterDict
@@ -76,15 +77,16 @@ class Factors:
         self.layout = layout
         self.probes = {kind: probes_of(kind, pairs, layout.groups) for kind in kinds}
         self.active = sum(self.probes[kind].inverse.shape[1] for kind in kinds[:active])
-        found = torch.cat([factors_of(kind, pairs) for kind in kinds])
         # What fills up is 0: no value, no slope.
-        self.values = layout.spread(found if exposure is None else found * exposure) * layout.real[:, None]
-        rows, columns = torch.triu_indices(self.active, self.active, device=found.device)
-        self.products = self.values[:, rows] * self.values[:, columns]
-        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=found.device)
-        place = torch.arange(len(rows), dtype=torch.int64, device=found.device)
-        self.index[rows, columns] = place
-        self.index[columns, rows] = place
+        self.values = torch.cat([spread_factors(kind, pairs, layout) for kind in kinds], 1)
+        if exposure is not None:
+            self.values *= layout.spread(exposure)
+        self.index = torch.zeros(self.active, self.active, dtype=torch.int64, device=self.values.device)
+        every = list(combinations_with_replacement(range(self.active), 2))
+        self.products = self.values.new_empty(len(self.values), len(every), layout.size)
+        for k, (i, j) in enumerate(every):
+            torch.mul(self.values[:, i], self.values[:, j], out=self.products[:, k])
+            self.index[i, j] = self.index[j, i] = k
 
     def on(self, pairs: "Pairs") -> Tensor:
         """The factors on some pairs, not exposed, `(J, n)`, float64."""
@@ -133,7 +135,7 @@ class FactoredProblem:
         self.filled = int(empty.sum())
         if weight is not None:
             self.filled = 0
-            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2])) * self.layout.real[:, None, None]
+            self.weight = self.layout.spread(weight.expand(-1, -1, code.shape[2]))
         self._factors: dict[tuple[tuple[type[Lobe], ...], int], Factors] = {}
 
     def factors(self, basis: Basis) -> Factors:
@@ -156,36 +158,39 @@ class FactoredProblem:
     ) -> tuple[Sums, Tensor]:
         """What a pass adds up for m problems, and the responses as sums of the factors, `(m, Q, G J)`.
 
-        albedos: `(m, C, terms)`; rows: of which material each is, None: all; width: `(m, 1, 1)`.
+        albedos: `(m, C, terms)`, float64; rows: of which material each is, None: all; width: `(m, 1, 1)`.
         """
         problems, factors = len(albedos), self.factors(basis)
         responses = coefficients(basis, factors.probes, values, problems)
         groups, count = responses.shape[2:]
-        color = albedos.double() @ responses[:, len(basis.slopes) :].flatten(2)
+        color = albedos @ responses[:, len(basis.slopes) :].flatten(2)
         color = color.unflatten(2, (groups, count)).permute(2, 0, 1, 3).flatten(1, 2).to(self.target.dtype)
         value, slopes, products = self._pass(color, factors, rows, width, curvature)
-        used = responses[:, : basis.used, :, : factors.active]
-        flat = used.flatten(2)
-        slopes = slopes.unflatten(1, (problems, -1)).permute(1, 2, 0, 3).flatten(2)
+        # Groups last, as they are many: (m, Q, a, G).
+        used = responses[:, : basis.used, :, : factors.active].transpose(2, 3).contiguous()
+        flat = used.flatten(2).mT
+        slopes = slopes.permute(2, 1, 0).unflatten(0, (problems, -1)).flatten(2)
         grams = None
         if products is not None:
-            products = products[..., factors.index].unflatten(1, (problems, -1)).permute(1, 2, 0, 3, 4)
-            half = used.transpose(1, 2)[:, None] @ products
-            grams = half.transpose(2, 3).flatten(3) @ flat.mT[:, None]
-        return Sums(value, slopes @ flat.mT, grams), responses.flatten(2)
+            products = products.permute(2, 1, 0).contiguous()[:, factors.index].unflatten(0, (problems, -1))
+            half = products[:, :, None, 0] * used[:, None, :, :1]
+            for j in range(1, factors.active):
+                half.addcmul_(products[:, :, None, j], used[:, None, :, j : j + 1])
+            grams = half.flatten(3) @ flat[:, None]
+        return Sums(value, slopes @ flat, grams), responses.flatten(2)
 
     def _pass(
         self, color: Tensor, factors: Factors, rows: Tensor | None, width: Tensor | None, curvature: bool
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Values `(m,)`, and by group slopes `(G, C m, a)` and curvatures by products `(G, C m, k)`, float64.
+        """Values `(m,)`, and by group slopes `(G, a, C m)` and curvatures by products `(G, k, C m)`, float64.
 
         color: what factors are multiplied by, `(G, C m, J)`.
         """
         layout, channels, products = self.layout, self.problem.target.shape[2], factors.products.shape[1]
         problems = color.shape[1] // channels
         by_block, value = color[layout.group], color.new_zeros(problems, dtype=torch.float64)
-        slopes = color.new_empty(len(by_block), color.shape[1], factors.active)
-        grams = color.new_empty(len(by_block), color.shape[1] if curvature else 0, products)
+        slopes = color.new_empty(len(by_block), factors.active, color.shape[1])
+        grams = color.new_empty(len(by_block), products, color.shape[1] if curvature else 0)
         for part in layout.parts(color.shape[1]):
             work = self._work((part.stop - part.start, problems, channels, layout.size))
             x = torch.bmm(by_block[part], factors.values[part], out=work[0].flatten(1, 2)).view_as(work[0])
@@ -198,12 +203,12 @@ class FactoredProblem:
                 penalty, slope, curve = (self._times(one, weight) for one in (penalty, slope, curve))
             value += penalty.sum((0, 2, 3))
             slope = slope if rate is None else self._times(slope, rate)
-            torch.bmm(slope.flatten(1, 2), factors.values[part, : factors.active].mT, out=slopes[part])
+            torch.bmm(factors.values[part, : factors.active], slope.flatten(1, 2).mT, out=slopes[part])
             if curvature:
                 if rate is not None:
                     square = rate.square_()
                     curve = square if curve is self.one else torch.mul(curve, square, out=square)
-                torch.bmm(curve.expand_as(x).flatten(1, 2), factors.products[part].mT, out=grams[part])
+                torch.bmm(factors.products[part], curve.expand_as(x).flatten(1, 2).mT, out=grams[part])
         if self.filled:  # with nothing: predictions and targets of 0
             nothing = color.new_zeros(1 if width is None else problems, 1, 1)
             value -= channels * self.filled * self.loss.penalty_with_derivatives(nothing, width)[0].flatten()

@@ -120,7 +120,7 @@ class PointwiseObjective(GaussNewtonObjective):
         """Value, gradient and matrix, in one pass over the pairs."""
         dtype = self.problem.target.dtype
         rows = None if self.is_every_material(materials) else materials
-        albedos = basis.albedos(values, dtype)
+        albedos = basis.albedos(values, torch.float64)
         width = None if width is None else width[:, None, None].to(dtype)
         factored = self.factored if all(part.kind.has_pair_factors() for part in basis.parts) else None
         if factored is None:
@@ -128,7 +128,7 @@ class PointwiseObjective(GaussNewtonObjective):
         else:
             sums, responses = factored.sums(basis, values, albedos, rows, width, curvature)
             sums = self._with_bins(sums, responses, factored.factors(basis), rows)
-        found = self._total(sums, basis.jacobian(values, albedos.double()), albedos, rows, width)
+        found = self._total(sums, basis.jacobian(values, albedos), albedos, rows, width)
         norm = self.norm.expand(len(self))[materials] * scale
         matrix = found[2] / norm[:, None, None] if curvature else found[2]
         return found[0] / norm, found[1] / norm[:, None], matrix
@@ -152,13 +152,14 @@ class PointwiseObjective(GaussNewtonObjective):
     ) -> Sums:
         """What a pass adds up, from responses on all pairs."""
         dtype, problems = self.problem.target.dtype, len(albedos)
+        narrow = albedos.to(dtype)
         found: list[Sums] = []
         for part, pairs in self.chunks(problems):
             if pairs.shape[0] > 1 and rows is not None:
                 pairs = pairs.select(rows)
             responses = basis.stacked(pairs, values, dtype, problems)
             target, weight = self.encoded.part(part, rows)
-            code, rate = channels.encode_with_derivative(self.loss, basis.predict(albedos, responses), pairs)
+            code, rate = channels.encode_with_derivative(self.loss, basis.predict(narrow, responses), pairs)
             penalty, slope, curve = self.loss.penalty_with_derivatives(code - target, width)
             if weight is not None:
                 penalty, slope, curve = penalty * weight, slope * weight, curve * weight

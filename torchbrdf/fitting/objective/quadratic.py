@@ -13,7 +13,7 @@ from torch import Tensor
 from torchbrdf.fitting.basis import Basis
 from torchbrdf.fitting.objective.base import GaussNewtonObjective
 from torchbrdf.fitting.objective.factored import Sums
-from torchbrdf.fitting.pair_factors import RANK, coefficients, inverse_of
+from torchbrdf.fitting.pair_factors import RANK, coefficients, inverse_of, rows_times
 from torchbrdf.fitting.parameters import Parametrization
 from torchbrdf.fitting.sufficient_statistics import SufficientStatistics
 from torchbrdf.lobes import Lobe
@@ -104,7 +104,7 @@ class QuadraticObjective(GaussNewtonObjective):
         own, (root, target) = self.statistics, self._reduced
         albedos = basis.albedos(values, target.dtype)
         responses = coefficients(basis, own.own, values, len(materials))
-        seen = (responses.transpose(1, 2) @ _of(root, rows).mT).transpose(1, 2).flatten(2)
+        seen = rows_times(responses, _of(root, rows).mT[:, None]).flatten(2)
         used, residual = seen[:, : basis.used], basis.predict(albedos, seen) - _of(target, rows)
         value = residual.square().sum((1, 2)) + _of(self.rest, rows)
         gram = (2 * used @ used.mT)[:, None] if curvature else None
@@ -116,4 +116,4 @@ class QuadraticObjective(GaussNewtonObjective):
 
 def _of(values: Tensor, rows: Tensor | None) -> Tensor:
     """What belongs to these materials."""
-    return values if rows is None else values[rows]
+    return values if rows is None or len(values) == 1 else values[rows]

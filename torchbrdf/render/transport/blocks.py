@@ -104,11 +104,15 @@ class LightBlock:
     def products(self, tables: Sequence[Tensor]) -> list[Tensor]:
         """Products with columns of numbers, `(N, K)` of each channel: `(p, K)` of each."""
         column = self.column if self.column.dtype == torch.int32 else self.column.to(torch.int32).add_(_HALF_WAY)
-        weight = self.weight.float()
-        return [
-            F.embedding_bag(column, table, per_sample_weights=weight * color, mode="sum")
-            for table, color in zip(tables, self.color, strict=True)
-        ]
+        weight, lights = self.weight.float(), column.shape[1]
+        flat, weighted = column.flatten(), torch.empty_like(weight)
+        starts = torch.arange(0, len(flat), lights, dtype=torch.int32, device=flat.device)
+        found = []
+        for table, color in zip(tables, self.color, strict=True):
+            own = torch.mul(weight, color, out=weighted).flatten()
+            # What F.embedding_bag calls, without its checks, which take as long as a tenth of the work.
+            found.append(torch.embedding_bag(table, flat, starts, False, 0, False, own)[0])
+        return found
 
     def packed(self, columns: int) -> "LightBlock":
         """In half of the bytes, if there are so many columns. Pictures are 80 dB and more from those of float32."""
