@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 import torch
 from helpers.directions import hemisphere
+from helpers.pbrt_files import materials_of
 
 from torchbrdf.errors import DataError
 from torchbrdf.export import Exported, export
 from torchbrdf.export.mitsuba import mitsuba_dict
+from torchbrdf.export.pbrt import reflected
 from torchbrdf.lobes import GGX, GGXAnisotropic, Lambert, Lobe, RoughConductorAnisotropic, Sum
 from torchbrdf.pairs import Pairs
 
@@ -89,11 +91,75 @@ def test_another_lobe_is_refitted_with_its_grain(tmp_path: Path) -> None:
     assert plugin.get("bsdf_1", plugin)["alpha_u"] == pytest.approx(0.3, rel=0.1)
 
 
-@pytest.mark.parametrize("to", ["merl", "rgl", "brdf", "pbrt"])
-def test_tables_have_no_room_for_it(to: str, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=rf"^brushed: expected an isotropic material for {to}, found one with a grain$"):
-        export(metal(), to, tmp_path, name="brushed")
+class Unknown(GGXAnisotropic):
+    """A lobe with a grain that no program has, nor anybody has GLSL for."""
+
+
+@pytest.mark.parametrize(
+    ("to", "model", "lacks"),
+    [
+        ("merl", metal(), "MERL's bins have no azimuth of the half vector"),
+        ("rgl", metal(), "the table has one azimuth of the light"),
+        ("brdf", Unknown(), "not all of its lobes have GLSL, and a MERL table has no room for it"),
+    ],
+)
+def test_tables_have_no_room_for_it(to: str, model: Lobe, lacks: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        DataError, match=rf"^brushed: expected an isotropic material for {to}, found one with a grain: {lacks}$"
+    ):
+        export(model, to, tmp_path, name="brushed")
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("rotation", [0.0, math.pi / 2], ids=["along", "across"])
+def test_pbrts_conductor_has_two_roughnesses(rotation: float, tmp_path: Path) -> None:
+    lobe = GGXAnisotropic(specular=COLOUR, roughness_x=0.1, roughness_y=0.4, f0=0.9, rotation=rotation)
+    done = export(lobe, "pbrt", tmp_path)
+    (name, found), *rest = materials_of(done.files[0])
+    assert not rest and name == "material" and not done.exact
+    u, v = (found[f"float {key}roughness"] for key in "uv")
+    assert ([u, v] if not rotation else [v, u]) == [[0.1], [0.4]] and found["bool remaproughness"] == [False]
+    assert [note[:45] for note in done.notes] == ["refitted: pbrt's conductor, with the same dis"]
+    wi, wo = hemisphere(200, seed=3), hemisphere(200, seed=4)
+    pairs = Pairs.from_directions(wi, wo)
+    assert isinstance(done.shown, Lobe) and done.shown.is_anisotropic
+    with torch.no_grad():
+        shown, own = done.shown.double()(pairs), lobe.double()(pairs)
+        colour = torch.tensor(COLOUR, dtype=torch.float64)
+        metallic = reflected(0.9 * colour, pairs.cos_d[:, None])
+        schlick = colour * (0.9 + 0.1 * (1 - pairs.cos_d[:, None]) ** 5)
+    torch.testing.assert_close(shown / metallic, own / schlick, rtol=1e-5, atol=0)  # but for Fresnel's terms the same
+
+
+def test_pbrt_mixes_it_with_what_is_diffuse(tmp_path: Path) -> None:
+    grain = GGXAnisotropic(specular=[0.8, 0.7, 0.6], roughness_x=0.1, roughness_y=0.4, f0=0.95, rotation=0.3)
+    done = export(Sum(Lambert(albedo=[0.1, 0.05, 0.02]), grain), "pbrt", tmp_path, name="x")
+    diffuse, conductor, (name, mix) = materials_of(done.files[0])
+    assert name == "x" and mix["string type"] == ["mix"] and mix["string materials"] == [diffuse[0], conductor[0]]
+    share = 1 - mix["float amount"][0]
+    assert [share * one for one in diffuse[1]["rgb reflectance"]] == pytest.approx([0.1, 0.05, 0.02])
+    at_normal = [(1 - share) * one for one in conductor[1]["rgb reflectance"]]
+    assert at_normal == pytest.approx([0.76, 0.665, 0.57], rel=1e-5)
+    assert (
+        "without the rotation of the grain: turn the texture coordinates by 17.19 degrees counterclockwise"
+        in done.notes
+    )
+    assert isinstance(done.shown, Lobe)
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    straight = Sum(Lambert(albedo=[0.1, 0.05, 0.02]), GGXAnisotropic(**parameters_of(grain) | {"rotation": 0.0}))
+    here = Pairs.from_directions(up, up)
+    torch.testing.assert_close(done.shown(here), straight(here), rtol=1e-4, atol=0)
+
+
+def test_pbrt_refuses_what_no_conductor_is_near(tmp_path: Path) -> None:
+    bright = Sum(Lambert(albedo=0.9), metal())
+    with pytest.raises(DataError, match=r"^material: expected a metal for pbrt, which has a grain in its condu"):
+        export(bright, "pbrt", tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+def parameters_of(lobe: Lobe) -> dict[str, torch.Tensor]:
+    return {name: getattr(lobe, name).detach() for name in lobe.parameter_specs}
 
 
 @pytest.mark.parametrize("to", ["gltf", pytest.param("mtlx", marks=pytest.mark.slow)])
