@@ -1,19 +1,27 @@
 """Exports of lobes with a grain: exact to Mitsuba, refitted or refused elsewhere, and said so."""
 
+import ast
+import json
 import math
+import re
+import struct
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from helpers.directions import hemisphere
+from helpers.gltf_validator import obstacle, report
 from helpers.pbrt_files import materials_of
 
 from torchbrdf.errors import DataError
-from torchbrdf.export import Exported, export
+from torchbrdf.export import EXPORTERS, Exported, export
 from torchbrdf.export.mitsuba import mitsuba_dict
 from torchbrdf.export.pbrt import reflected
-from torchbrdf.lobes import GGX, GGXAnisotropic, Lambert, Lobe, RoughConductorAnisotropic, Sum
+from torchbrdf.export.tables import TableExporter
+from torchbrdf.lobes import GGX, LOBES, GGXAnisotropic, Lambert, Lobe, RoughConductorAnisotropic, Sum
 from torchbrdf.pairs import Pairs
+from torchbrdf.render import sphere
 
 COLOUR = [0.9, 0.6, 0.3]
 
@@ -158,11 +166,136 @@ def test_pbrt_refuses_what_no_conductor_is_near(tmp_path: Path) -> None:
     assert not [*tmp_path.iterdir()]
 
 
+def read_glb(path: Path) -> Any:
+    """The JSON of a binary glTF file."""
+    data = path.read_bytes()
+    (size,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + size])
+
+
 def parameters_of(lobe: Lobe) -> dict[str, torch.Tensor]:
     return {name: getattr(lobe, name).detach() for name in lobe.parameter_specs}
 
 
-@pytest.mark.parametrize("to", ["gltf", pytest.param("mtlx", marks=pytest.mark.slow)])
-def test_others_are_refitted_without_it(to: str, tmp_path: Path) -> None:
-    done = export(metal(0.3), to, tmp_path)
-    assert not done.exact and "; without its grain" in done.notes[0]
+BRUSHED = GGXAnisotropic(specular=1.0, roughness_x=0.1, roughness_y=0.4, f0=0.9, rotation=0.3, dtype=torch.float64)
+TURNED = GGXAnisotropic(specular=1.0, roughness_x=0.5, roughness_y=0.06, f0=0.5, rotation=-2.0, dtype=torch.float64)
+EQUAL = GGXAnisotropic(specular=1.0, roughness_x=0.2, roughness_y=0.2, f0=0.5, rotation=0.4, dtype=torch.float64)
+
+
+def grain_of_gltf(path: Path) -> tuple[float, float, float]:
+    """Alpha along and across the wide direction, and where that lies: KHR_materials_anisotropy."""
+    (material,) = read_glb(path)["materials"]
+    alpha = material["pbrMetallicRoughness"]["roughnessFactor"] ** 2
+    own = material.get("extensions", {}).get("KHR_materials_anisotropy", {})
+    strength = own.get("anisotropyStrength", 0.0)
+    return alpha * (1 - strength**2) + strength**2, alpha, own.get("anisotropyRotation", 0.0)
+
+
+def grain_of_mtlx(path: Path) -> tuple[float, float, float]:
+    """OpenPBR's formula, and the nodes that turn the tangent."""
+    mx = pytest.importorskip("MaterialX", reason="needs the package materialx")
+    made = mx.createDocument()
+    mx.readFromXmlFile(made, str(path))
+    library = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
+    made.setDataLibrary(library)
+    assert made.validate() == (True, "")
+    (surface,) = made.getNodes("open_pbr_surface")
+    anisotropy = surface.getInputValue("specular_roughness_anisotropy") or 0.0
+    wide = surface.getInputValue("specular_roughness") ** 2 * math.sqrt(2 / (1 + (1 - anisotropy) ** 2))
+    tangent = surface.getConnectedNode("geometry_tangent")
+    if tangent is None:
+        return wide, wide, 0.0
+    parts = [tangent.getConnectedNode(name) for name in ("in1", "in2")]
+    assert [part.getConnectedNode("in1").getCategory() for part in parts] == ["tangent", "bitangent"]
+    cosine, sine = (part.getInputValue("in2") for part in parts)
+    return wide, (1 - anisotropy) * wide, math.atan2(sine, cosine)
+
+
+def grain_of_blender(path: Path) -> tuple[float, float, float]:
+    """As Cycles has it."""
+    (sockets,) = (
+        ast.literal_eval(one.value)
+        for one in ast.parse(path.read_text()).body
+        if isinstance(one, ast.Assign) and one.targets[0].id == "SOCKETS"  # type: ignore[attr-defined]
+    )
+    aspect = math.sqrt(1 - 0.9 * sockets.get("Anisotropic", 0.0))
+    alpha = sockets["Roughness"] ** 2
+    return alpha / aspect, alpha * aspect, 2 * math.pi * sockets.get("Anisotropic Rotation", 0.0)
+
+
+GRAINS = {"gltf": grain_of_gltf, "mtlx": grain_of_mtlx, "blender": grain_of_blender}
+
+
+@pytest.mark.parametrize("to", GRAINS)
+@pytest.mark.parametrize("lobe", [BRUSHED, TURNED, EQUAL], ids=["brushed", "turned", "equal"])
+def test_a_metal_with_a_grain_is_exact(lobe: GGXAnisotropic, to: str, tmp_path: Path) -> None:
+    done = export(Sum(Lambert(albedo=0.0), lobe), to, tmp_path)
+    assert done.exact and done.notes[0].startswith("exact: ")
+    along, across, turn = GRAINS[to](done.files[0])
+    same = GGXAnisotropic(**{**parameters_of(lobe), "roughness_x": along, "roughness_y": across, "rotation": turn})
+    pairs = Pairs.from_directions(hemisphere(100, seed=3), hemisphere(100, seed=4))
+    torch.testing.assert_close(same(pairs), lobe(pairs), rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("to", GRAINS)
+def test_others_are_refitted_with_their_grain(to: str, tmp_path: Path) -> None:
+    """A fit, whose metal has something diffuse beside it; the note does not say that the grain was lost."""
+    model = Sum(Lambert(albedo=[0.06, 0.05, 0.04]), metal(0.3))
+    done = export(model, to, tmp_path)
+    assert not done.exact and "refitted as " in done.notes[0] and "_anisotropic under" in done.notes[0]
+    assert "without its grain" not in " ".join(done.notes)
+    pairs = Pairs.from_directions(hemisphere(500, seed=3), hemisphere(500, seed=4)).to(dtype=torch.float32)
+    assert isinstance(done.shown, Lobe)
+    with torch.no_grad():
+        off = (done.shown(pairs) / model(pairs)).log().abs()
+        isotropic = (GGX(specular=COLOUR, roughness=0.2, f0=0.9)(pairs) / model(pairs)).log().abs()
+    assert off.median() < 0.2 < 0.5 < isotropic.median()
+    along, across, turn = GRAINS[to](done.files[0])
+    assert along > 1.5 * across and abs(math.remainder(turn - math.pi / 2 - 0.3, math.pi)) < 0.03
+    again = export(done.shown, to, tmp_path, name="again")
+    assert GRAINS[to](again.files[0]) == pytest.approx((along, across, turn), rel=1e-5)
+
+
+def test_a_mesh_of_gltf_has_tangents(tmp_path: Path) -> None:
+    """What the extension asks for; of what has no grain files stay as they are."""
+    done = export(BRUSHED, "gltf", tmp_path, mesh="sphere")
+    tree = read_glb(done.files[0])
+    assert tree["extensionsUsed"] == ["KHR_materials_anisotropy"]
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "TANGENT"}
+    accessor = tree["accessors"][primitive["attributes"]["TANGENT"]]
+    assert (accessor["type"], accessor["componentType"], accessor["count"]) == ("VEC4", 5126, len(sphere().vertices))
+    plain = export(GGX(specular=1.0, f0=0.9), "gltf", tmp_path, name="plain", mesh="sphere")
+    assert set(read_glb(plain.files[0])["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL"}
+
+
+@pytest.mark.skipif(bool(obstacle()), reason=obstacle())
+@pytest.mark.parametrize("mesh", ["sphere", "blob"])
+def test_khronos_validator_finds_nothing(mesh: str, tmp_path: Path) -> None:
+    found = report(export(BRUSHED, "gltf", tmp_path, mesh=mesh).files[0])
+    assert found["issues"]["messages"] == []
+
+
+WITH_GRAIN = [name for name, kind in LOBES.items() if kind.is_anisotropic]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("to", [name for name, kind in EXPORTERS.items() if not issubclass(kind, TableExporter)])
+@pytest.mark.parametrize("name", WITH_GRAIN)
+def test_every_lobe_with_a_grain_is_carried_or_refused(name: str, to: str, tmp_path: Path) -> None:
+    """Exact, near and said so, or one line that says what is lacking: never without the grain and no word of it."""
+    kind = LOBES[name]
+    first, second = kind.axes  # type: ignore[attr-defined]
+    wide = {second: 3 * kind.parameter_specs[first].start} if kind.rises_with_width else {}  # type: ignore[attr-defined]
+    lobe = kind(**wide, **({"specular": 0.6} if "specular" in kind.parameter_specs else {}))
+    try:
+        done = export(lobe, to, tmp_path, name="brushed")
+    except DataError as error:
+        assert re.match(rf"brushed: expected .* for {to}, .*grain", str(error)) and len(str(error)) <= 300
+        assert not [*tmp_path.iterdir()]
+        return
+    assert isinstance(done.shown, Lobe) and done.shown.is_anisotropic and all(done.notes)
+    assert done.exact == done.notes[0].startswith("exact: ")
+    assert done.exact or re.match("refitted|without the rotation|.*: as OpenPBR, whose picture", done.notes[0])

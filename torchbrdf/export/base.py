@@ -117,6 +117,11 @@ class Exporter(ABC):
         """
 
 
+def has_grain(material: Material) -> bool:
+    """Whether a material is a model with a grain."""
+    return isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic
+
+
 def refuse_grain(material: Material, to: str, lacks: str) -> None:
     """Refuse a lobe with a grain.
 
@@ -128,7 +133,7 @@ def refuse_grain(material: Material, to: str, lacks: str) -> None:
     Raises:
         DataError: The material is a lobe with a grain.
     """
-    if isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic:
+    if has_grain(material):
         raise DataError(f"{material.name}: expected an isotropic material for {to}, found one with a grain: {lacks}")
 
 

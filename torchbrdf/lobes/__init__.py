@@ -20,12 +20,14 @@ from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_anisotropic import GGXAnisotropic, ggx_anisotropic
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
 from torchbrdf.lobes.gltf import GLTF, gltf
+from torchbrdf.lobes.gltf_anisotropic import GLTFAnisotropic, gltf_anisotropic
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.he import He, he
 from torchbrdf.lobes.lafortune import Lafortune, lafortune
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.openpbr import OpenPBR, openpbr
+from torchbrdf.lobes.openpbr_anisotropic import OpenPBRAnisotropic, openpbr_anisotropic
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
@@ -70,6 +72,7 @@ __all__ = [
     "Duer",
     "FitRecord",
     "GGXAnisotropic",
+    "GLTFAnisotropic",
     "He",
     "Lafortune",
     "Lambert",
@@ -77,6 +80,7 @@ __all__ = [
     "LowABC",
     "LowABCSmooth",
     "OpenPBR",
+    "OpenPBRAnisotropic",
     "OrenNayar",
     "OutsideBoundsWarning",
     "Principled",
@@ -116,6 +120,7 @@ __all__ = [
     "ggx_anisotropic",
     "ggx_f82",
     "gltf",
+    "gltf_anisotropic",
     "gtr",
     "he",
     "lafortune",
@@ -124,6 +129,7 @@ __all__ = [
     "model_name",
     "model_of",
     "openpbr",
+    "openpbr_anisotropic",
     "oren_nayar",
     "parameters",
     "principled",

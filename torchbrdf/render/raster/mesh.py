@@ -15,6 +15,8 @@ from torchbrdf.render.raster.mesh_formats import read_parts
 
 # Of a normal: shorter level parts have no direction.
 _LEVEL = 1e-9
+# Of a tangent the share that has to lie in the surface.
+_ALONG = 1e-4
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,22 @@ class Mesh:
         vertices = np.hstack([self.vertices, self.normals]).astype("<f4")
         with replacing(path) as temporary:
             temporary.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+
+    def unit_tangents(self) -> np.ndarray:
+        """Tangents of length 1, at right angles to normals, `(V, 3)`: the mesh's own, the level ones where none are.
+
+        Example:
+            >>> from torchbrdf.render import sphere
+            >>> sphere(1).unit_tangents()[0]
+            array([ 0.,  0., -1.])
+        """
+        level = level_tangents(self.normals)
+        if self.tangents is None:
+            return level
+        own = self.tangents - (self.tangents * self.normals).sum(1, keepdims=True) * self.normals
+        length = np.linalg.norm(own, axis=1, keepdims=True)
+        none = length <= _ALONG * np.linalg.norm(self.tangents, axis=1, keepdims=True)
+        return np.where(none, level, own / np.where(none, 1, length))
 
     @property
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
