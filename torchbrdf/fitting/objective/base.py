@@ -53,6 +53,11 @@ class FitObjective(ABC):
         """
 
     @property
+    def scored(self) -> Problem:
+        """The problem that the loss gives errors of."""
+        return self.problem
+
+    @property
     def material_indices(self) -> Tensor:
         """The materials, `(M,)`."""
         return torch.arange(len(self), dtype=torch.int64, device=self.problem.target.device)
