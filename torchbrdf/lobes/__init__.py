@@ -15,6 +15,7 @@ from torchbrdf.lobes.cook_torrance_ior import CookTorranceIOR, cook_torrance_ior
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.duer import Duer, duer
 from torchbrdf.lobes.eon import EON, eon
+from torchbrdf.lobes.fits import OutsideBoundsWarning, read_fits, write_fits
 from torchbrdf.lobes.fresnel import conductor, dielectric, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_anisotropic import GGXAnisotropic, ggx_anisotropic
@@ -31,7 +32,7 @@ from torchbrdf.lobes.openpbr_anisotropic import OpenPBRAnisotropic, openpbr_anis
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
-from torchbrdf.lobes.records import FitRecord, OutsideBoundsWarning, model_of, read_fits, write_fits
+from torchbrdf.lobes.records import FitRecord, model_of
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
 from torchbrdf.lobes.roughconductor_anisotropic import RoughConductorAnisotropic, roughconductor_anisotropic
 from torchbrdf.lobes.roughness import (

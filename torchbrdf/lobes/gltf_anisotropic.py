@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain
+from torchbrdf.lobes._anisotropic import AnisotropicLobe, root_of_width, rotation_of_the_grain
 from torchbrdf.lobes._sloped import LayeredMaterial, grain_facets
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
@@ -72,12 +72,6 @@ def gltf_anisotropic(
     return value_of(GLTFAnisotropic)(pairs, base_color, metallic, roughness_x, roughness_y, rotation, *rest)
 
 
-def _roughness(start: float, axis: str) -> BoundedParameter:
-    return BoundedParameter(
-        start=start, lower=0.032, upper=1.0, log=True, doc=f"the square root of alpha along the lobe's {axis} axis"
-    )
-
-
 @LOBES.register("gltf_anisotropic")
 class GLTFAnisotropic(AnisotropicLobe, LayeredMaterial):
     """The metallic-roughness material of glTF 2.0 with a grain, a whole material: `GLTF` with two roughnesses.
@@ -93,11 +87,10 @@ class GLTFAnisotropic(AnisotropicLobe, LayeredMaterial):
         tensor([0.5000], requires_grad=True)
     """
 
-    axes: ClassVar[tuple[str, str]] = ("roughness_x", "roughness_y")
     base_color: BoundedParameter = GLTF.base_color
     metallic: BoundedParameter = GLTF.metallic
-    roughness_x: BoundedParameter = _roughness(0.3, "x")
-    roughness_y: BoundedParameter = _roughness(0.5, "y")
+    roughness_x: BoundedParameter = root_of_width("x", 0.3)
+    roughness_y: BoundedParameter = root_of_width("y", 0.5)
     rotation: BoundedParameter = rotation_of_the_grain()
     specular: BoundedParameter = GLTF.specular
     specular_color: BoundedParameter = GLTF.specular_color

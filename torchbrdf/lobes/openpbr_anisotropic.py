@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain
+from torchbrdf.lobes._anisotropic import AnisotropicLobe, root_of_width, rotation_of_the_grain
 from torchbrdf.lobes._sloped import LayeredMaterial, grain_facets
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
@@ -86,12 +86,6 @@ def openpbr_anisotropic(
     return value_of(OpenPBRAnisotropic)(pairs, *base, *grain, *coat, fuzz_weight, fuzz_color, fuzz_roughness)
 
 
-def _roughness(start: float, axis: str) -> BoundedParameter:
-    return BoundedParameter(
-        start=start, lower=0.032, upper=1.0, log=True, doc=f"the square root of alpha along the lobe's {axis} axis"
-    )
-
-
 @LOBES.register("openpbr_anisotropic")
 class OpenPBRAnisotropic(AnisotropicLobe, LayeredMaterial):
     """OpenPBR's opaque surface with a grain, a whole material: `OpenPBR` with two roughnesses of its base.
@@ -113,8 +107,8 @@ class OpenPBRAnisotropic(AnisotropicLobe, LayeredMaterial):
     base_metalness: BoundedParameter = OpenPBR.base_metalness
     specular_weight: BoundedParameter = OpenPBR.specular_weight
     specular_color: BoundedParameter = OpenPBR.specular_color
-    specular_roughness_x: BoundedParameter = _roughness(0.3, "x")
-    specular_roughness_y: BoundedParameter = _roughness(0.5, "y")
+    specular_roughness_x: BoundedParameter = root_of_width("x", 0.3)
+    specular_roughness_y: BoundedParameter = root_of_width("y", 0.5)
     rotation: BoundedParameter = rotation_of_the_grain()
     specular_ior: BoundedParameter = OpenPBR.specular_ior
     coat_weight: BoundedParameter = OpenPBR.coat_weight
