@@ -47,6 +47,7 @@ from torchbrdf.lobes.roughplastic import RoughPlastic, roughplastic
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
+from torchbrdf.lobes.terms import Separable
 from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_anisotropic import WardAnisotropic, ward_anisotropic
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
@@ -89,6 +90,7 @@ __all__ = [
     "RoughConductorAnisotropic",
     "RoughPlastic",
     "RoughnessConvention",
+    "Separable",
     "ShiftedGamma",
     "StudentT",
     "Sum",
