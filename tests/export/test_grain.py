@@ -18,6 +18,7 @@ from torchbrdf.errors import DataError
 from torchbrdf.export import EXPORTERS, Exported, export
 from torchbrdf.export.mitsuba import mitsuba_dict
 from torchbrdf.export.pbrt import reflected
+from torchbrdf.export.shading import visible
 from torchbrdf.export.tables import TableExporter
 from torchbrdf.lobes import GGX, LOBES, GGXAnisotropic, Lambert, Lobe, RoughConductorAnisotropic, Sum
 from torchbrdf.measured import load
@@ -237,6 +238,14 @@ def test_a_metal_with_a_grain_is_exact(lobe: GGXAnisotropic, to: str, tmp_path: 
     same = GGXAnisotropic(**{**parameters_of(lobe), "roughness_x": along, "roughness_y": across, "rotation": turn})
     pairs = Pairs.from_directions(hemisphere(100, seed=3), hemisphere(100, seed=4))
     torch.testing.assert_close(same(pairs), lobe(pairs), rtol=1e-4, atol=1e-7)
+
+
+def test_what_solvers_leave_of_a_lobe_is_black(tmp_path: Path) -> None:
+    """A fit of two lobes to one."""
+    rest = GGXAnisotropic(specular=[3e-12, 0.0, 2e-11], roughness_x=0.002, dtype=torch.float64)
+    assert export(Sum(Lambert(albedo=0.0), BRUSHED, rest), "gltf", tmp_path).exact
+    seen = GGXAnisotropic(specular=[1e-6, 0.0, 0.0], roughness_x=0.002, dtype=torch.float64)
+    assert [len(visible(Sum(BRUSHED, one))) for one in (rest, seen)] == [1, 2]
 
 
 @pytest.mark.slow
