@@ -1,11 +1,15 @@
 """Values between scattered samples: which interpolation predicts best what was left out.
 
     python benchmarks/scattered.py PAINTS --rgl RGL [--every 1] [--asked 500] [--fits]
+    python benchmarks/scattered.py PAINTS --speed
 
 PAINTS are files of scattered samples (ASTM), RGL a folder of RGL measurements, which are sampled as a goniophotometer
 does: light at 0, 20, 40 and 60 degrees, viewer every degree of polar angle and 10 of azimuth. Every fourth sample is
 left out, or all of one incidence; of these `--asked` are predicted. Printed is the root mean square error of the log of
 values (below 0.001 / sr they count as that), mean over materials, and the CPU seconds of one prediction.
+
+With --speed: CPU seconds of one thread until the first of 100,000 positions are known, and of the next 100,000; of each
+of PAINTS, and of made-up samples with a grain.
 
 nearest, inverse distance, linear (Delaunay) and RBF (thin plates through the 24 nearest) work on the same coordinates
 and compressed values as the package's own interpolation. With --fits also a fitted model (two GGX lobes) times the
@@ -23,7 +27,7 @@ from scipy.interpolate import LinearNDInterpolator, RBFInterpolator
 from scipy.spatial import KDTree
 
 from torchbrdf.fitting import fit
-from torchbrdf.lobes import make_model
+from torchbrdf.lobes import GGXAnisotropic, Lambert, Sum, make_model
 from torchbrdf.losses import make_loss
 from torchbrdf.measured import Measured, load
 from torchbrdf.measured.scattered import Angles, Places, Surface
@@ -130,6 +134,43 @@ def fitted(model):
     return predict
 
 
+def anywhere(seed):
+    """100,000 pairs all over the hemisphere."""
+    draw = np.random.default_rng(seed).uniform(0.01, 1, (100_000, 2, 2))
+    z, turn = draw[..., 0], 2 * math.pi * draw[..., 1]
+    flat = np.sqrt(1 - z**2)
+    directions = torch.from_numpy(np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1))
+    return Pairs.from_directions(*directions.transpose(0, 1)[:, None])
+
+
+def brushed():
+    """Made-up samples with a grain, taken at four turns of the surface."""
+    lobe = Sum(Lambert(albedo=0.2), GGXAnisotropic(specular=0.3, roughness_x=0.1, roughness_y=0.4)).double()
+    turn = torch.arange(4, dtype=torch.float64)[:, None] * math.pi / 4
+    wi, wo = (
+        torch.stack([x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos(), z.expand(4, -1)], -1)
+        for x, y, z in (one[0].T for one in (goniometer().wi, goniometer().wo))
+    )
+    pairs = Pairs.from_directions(wi.reshape(1, -1, 3), wo.reshape(1, -1, 3))
+    with torch.no_grad():
+        return Measured.from_samples(pairs, lobe(pairs), names=["made up, with a grain"])
+
+
+def speed(paints):
+    """How long questions take."""
+    torch.set_num_threads(1)
+    print("| samples of | how many | preparation, CPU s | 100,000 positions, CPU s |\n|---|---|---|---|")
+    for measured in [*(load(path, dtype=torch.float64) for path in paints), brushed()]:
+        times = []
+        for k in range(5):
+            asked = anywhere(k)
+            began = time.process_time()
+            measured.at(asked)
+            times.append(time.process_time() - began)
+        least = min(times[1:])
+        print(f"| {measured.names[0]} | {len(measured.pairs)} | {times[0] - least:.2f} | {least:.2f} |")
+
+
 METHODS = {
     "nearest": plain(nearest),
     "inverse distance": plain(inverse_distance),
@@ -146,7 +187,11 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="one in so many materials")
     parser.add_argument("--asked", type=int, default=500)
     parser.add_argument("--fits", action="store_true")
+    parser.add_argument("--speed", action="store_true")
     options = parser.parse_args()
+    if options.speed:
+        speed(sorted(options.paints))
+        return
     warnings.simplefilter("ignore")
     methods = METHODS | ({"GGX and ratio": fitted("ggx")} if options.fits else {})
     errors, seconds = {}, {}

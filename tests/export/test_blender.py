@@ -85,7 +85,11 @@ def test_what_is_exact(brdf: Any, expected: dict[str, Any], tmp_path: Path) -> N
 
 
 def test_inputs_of_openpbr_have_sockets() -> None:
-    assert set(SAME) < set(INPUTS) and set(SAME.values()) | {"Specular IOR Level"} == set(SOCKETS)
+    assert set(SAME) < set(INPUTS) and set(SAME.values()) | {
+        "Specular IOR Level",
+        "Anisotropic",
+        "Anisotropic Rotation",
+    } == set(SOCKETS)
     assert sockets({"specular_weight": 1.0, "coat_color": [1.0, 0.5, 0.25]}) == {
         "Coat Tint": [1.0, 0.5, 0.25],
         "Specular IOR Level": 0.5,

@@ -92,7 +92,9 @@ def test_extensions_are_those_that_do_something() -> None:
     assert "extensions" not in plain
     assert "extensions" not in gltf_material({"clearcoatFactor": 0.0, "clearcoatRoughnessFactor": 0.3}, "x")
     full = gltf_material(EVERYTHING, "x")
-    assert set(full["extensions"]) == {f"KHR_materials_{name}" for name in ("ior", "specular", "clearcoat", "sheen")}
+    named = ("ior", "specular", "clearcoat", "sheen", "anisotropy")
+    assert set(full["extensions"]) == {f"KHR_materials_{name}" for name in named}
+    assert "extensions" not in gltf_material({"anisotropyStrength": 0.0, "anisotropyRotation": 1.0}, "x")
     assert full["extensions"]["KHR_materials_sheen"] == {
         "sheenColorFactor": [0.25, 0.5, 0.75],
         "sheenRoughnessFactor": 0.5,

@@ -1,6 +1,5 @@
 """Materials for pbrt-v4, whose text is read back by its grammar."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.directions import hemisphere
+from helpers.pbrt_files import materials_of
 
 from torchbrdf.export import Exported, export
 from torchbrdf.export.pbrt import PbrtConductor
@@ -17,49 +17,11 @@ from torchbrdf.measured import load
 from torchbrdf.measured.tensor_file import TensorFile
 from torchbrdf.pairs import Pairs
 
-TYPES = {"string", "float", "rgb", "bool", "integer", "spectrum"}
-
-
-def tokens(text: str) -> list[str]:
-    """pbrt's: quoted strings with their quotes, brackets, words; a # begins a comment."""
-    found, k = [], 0
-    while k < len(text):
-        if text[k] == "#":
-            k = text.index("\n", k)
-        elif text[k] == '"':
-            end = k + 1
-            while text[end] != '"':
-                assert text[end] != "\n"
-                end += 2 if text[end] == "\\" else 1
-            found.append(text[k : end + 1])
-            k = end + 1
-        elif text[k] in "[]":
-            found.append(text[k])
-            k += 1
-        elif text[k].isspace():
-            k += 1
-        else:
-            end = k
-            while not text[end].isspace() and text[end] not in '[]"#':
-                end += 1
-            found.append(text[k:end])
-            k = end
-    return found
-
 
 def parsed(path: Path) -> tuple[str, dict[str, Any]]:
-    """The name and the parameters, `{"float roughness": [0.1]}`, of a file with one named material."""
-    directive, name, *rest = tokens(path.read_text(encoding="utf-8"))
-    assert directive == "MakeNamedMaterial"
-    parameters: dict[str, Any] = {}
-    while rest:
-        key, opening, *rest = rest
-        kind, _ = json.loads(key).split(" ")
-        assert kind in TYPES and opening == "["
-        end = rest.index("]")
-        parameters[json.loads(key)] = [json.loads(value) for value in rest[:end]]
-        rest = rest[end + 1 :]
-    return json.loads(name), parameters
+    """The name and the parameters of a file with one named material."""
+    (material,) = materials_of(path)
+    return material
 
 
 def table_of(done: Exported) -> dict[str, np.ndarray]:

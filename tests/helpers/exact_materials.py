@@ -18,12 +18,14 @@ from helpers.exact_lobes import (
     exact_charlie,
     exact_dielectric,
     exact_eon,
+    exact_ggx_anisotropic,
     exact_ggx_distribution,
     exact_gtr_distribution,
     f82,
     ggx_lambda,
     separable,
     shares,
+    turns,
     unit,
 )
 
@@ -107,12 +109,31 @@ def light_and_viewer(g: Geometry) -> tuple[list[mpf], list[mpf]]:
 
 def exact_gltf(g: Geometry, base: mpf, metallic: mpf, roughness: mpf, specular: mpf, tint: mpf, *rest: mpf) -> mpf:
     """Appendix B of the specification, and the extensions' functions."""
+    return gltf_over(g, facets(g, roughness), base, metallic, specular, tint, *rest)
+
+
+def grain_facets(g: Geometry, x: mpf, y: mpf, rotation: mpf) -> mpf:
+    """GGX with a grain, of alphas."""
+    return exact_ggx_anisotropic(g, mpf(1), x, y, rotation, mpf(1))
+
+
+def exact_gltf_anisotropic(g: Geometry, base: mpf, metallic: mpf, x: mpf, y: mpf, rotation: mpf, *rest: mpf) -> mpf:
+    """The same with the facets of KHR_materials_anisotropy, by its strength and its rotation."""
+    wide, narrow = max(x, y) ** 2, min(x, y) ** 2
+    strength = mpmath.sqrt((wide - narrow) / (1 - narrow)) if wide > narrow else mpf(0)
+    turn = rotation if x > y else rotation + mpmath.pi / 2
+    main = grain_facets(g, mix(narrow, mpf(1), strength**2), narrow, turn)
+    return gltf_over(g, main, base, metallic, *rest)
+
+
+def gltf_over(g: Geometry, main: mpf, base: mpf, metallic: mpf, specular: mpf, tint: mpf, *rest: mpf) -> mpf:
+    """The material of the base's facets."""
     ior, clearcoat, coat_roughness, sheen, sheen_roughness = rest
     viewer = light_and_viewer(g)[1][2]
     f0 = min(((1 - ior) / (1 + ior)) ** 2 * tint, mpf(1))
     reflected = schlick(f0, g.o_h)
-    dielectric = (1 - specular * reflected) * base / mpmath.pi + specular * reflected * facets(g, roughness)
-    metal = facets(g, roughness) * schlick(base, g.o_h)
+    dielectric = (1 - specular * reflected) * base / mpmath.pi + specular * reflected * main
+    metal = main * schlick(base, g.o_h)
     material = mix(dielectric, metal, metallic)
     alpha = sheen_roughness**2
     scaling = min(1 - sheen * charlie_albedo(cosine, alpha) for cosine in (g.n_i, g.n_o))
@@ -150,21 +171,43 @@ def fuzz(g: Geometry, y: mpf) -> mpf:
 
 def exact_openpbr(g: Geometry, *values: mpf) -> mpf:
     """The reference graph of MaterialX, node by node."""
+    roughness = openpbr_below_coat(values[5], values[7], values[9])
+    return openpbr_over(g, facets(g, roughness), roughness**2, *values[:5], *values[6:])
+
+
+def openpbr_below_coat(roughness: mpf, coat_weight: mpf, coat_roughness: mpf) -> mpf:
+    return mix(roughness, min(mpf(1), 2 * coat_roughness**4 + roughness**4) ** (mpf(1) / 4), coat_weight)
+
+
+def exact_openpbr_anisotropic(g: Geometry, *values: mpf) -> mpf:
+    """The same with `open_pbr_anisotropy`, of a roughness and its anisotropy."""
+    x, y, rotation = values[5:8]
+    wide, narrow = max(x, y) ** 2, min(x, y) ** 2
+    anisotropy = 1 - narrow / wide
+    turn = rotation if x > y else rotation + mpmath.pi / 2
+    own = mpmath.sqrt(wide * mpmath.sqrt((1 + (1 - anisotropy) ** 2) / 2))
+    roughness = openpbr_below_coat(own, values[9], values[11])
+    along = roughness**2 * mpmath.sqrt(2 / (1 + (1 - anisotropy) ** 2))
+    across = (1 - anisotropy) * along
+    main = grain_facets(g, along, across, turn)
+    return openpbr_over(g, main, mpmath.sqrt(along * across), *values[:5], *values[8:])
+
+
+def openpbr_over(g: Geometry, main: mpf, alpha: mpf, *values: mpf) -> mpf:
+    """The surface of the base's facets, and of their alpha."""
     base_color, base_diffuse_roughness, base_metalness, specular_weight, specular_color, *rest = values
-    specular_roughness, specular_ior, coat_weight, coat_color, coat_roughness, coat_ior, darkening, *rest = rest
+    specular_ior, coat_weight, coat_color, coat_roughness, coat_ior, darkening, *rest = rest
     fuzz_weight, fuzz_color, fuzz_roughness = rest
     viewer = light_and_viewer(g)[1][2]
-    rougher = min(mpf(1), 2 * coat_roughness**4 + specular_roughness**4) ** (mpf(1) / 4)
-    roughness = mix(specular_roughness, rougher, coat_weight)
     ratio = specular_ior / coat_ior
     eta_s = mix(specular_ior, ratio if ratio > 1 else 1 / ratio, coat_weight)
     epsilon = mpmath.sign(eta_s - 1) * mpmath.sqrt(specular_weight * ((eta_s - 1) / (eta_s + 1)) ** 2)
     eta = (1 + epsilon) / (1 - epsilon)
     coat_f0 = ((coat_ior - 1) / (coat_ior + 1)) ** 2
     diffuse = exact_eon(g, base_color, base_diffuse_roughness)
-    glossy = facets(g, roughness) * exact_dielectric(g.o_h, eta) * specular_color
-    dielectric = glossy + (1 - ggx_albedo(viewer, roughness**2, epsilon**2)) * diffuse
-    metal = specular_weight * facets(g, roughness) * f82(g, base_color, specular_color)
+    glossy = main * exact_dielectric(g.o_h, eta) * specular_color
+    dielectric = glossy + (1 - ggx_albedo(viewer, alpha, epsilon**2)) * diffuse
+    metal = specular_weight * main * f82(g, base_color, specular_color)
     material = mix(dielectric, metal, base_metalness)
     k = 1 - (1 - coat_f0) / coat_ior**2
     albedo = mix(base_color, base_color * specular_weight, base_metalness)
@@ -263,6 +306,18 @@ MATERIALS: dict[str, tuple[Callable[..., mpf], list[st.SearchStrategy]]] = {
     "principled": (exact_principled, [shares, unit, rough, st.floats(0.05, 1), *[unit] * 6]),
     "roughplastic": (exact_roughplastic, [shares, unit, decades(0.001, 1), st.floats(1.05, 3)]),
     "gltf": (exact_gltf, [shares, unit, rough, unit, unit, ior, unit, rough, unit, st.floats(0.1, 1)]),
+    "gltf_anisotropic": (
+        exact_gltf_anisotropic,
+        [shares, unit, rough, rough, turns, unit, unit, ior, unit, rough, unit, st.floats(0.1, 1)],
+    ),
+    "openpbr_anisotropic": (
+        exact_openpbr_anisotropic,
+        [
+            *[shares, st.one_of(st.just(0.0), shares), unit, shares, st.floats(0.52, 1), rough, rough, turns, ior],
+            *[unit, unit, rough, ior, unit],
+            *[unit, unit, st.floats(0.01, 1)],
+        ],
+    ),
     "openpbr": (
         exact_openpbr,
         [

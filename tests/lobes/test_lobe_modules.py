@@ -3,6 +3,7 @@
 import copy
 import inspect
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -184,7 +185,10 @@ def test_compiles_with_pairs_and_parameters_from_outside(name: str) -> None:
 def test_unknown_and_misshapen_parameters_are_refused(name: str) -> None:
     lobe = LOBES[name]
     known = ", ".join(lobe.parameter_specs)
-    with pytest.raises(UsageError, match=rf"^{lobe.__name__}: unknown parameter 'shininess'; expected {known}$"):
+    said = str(
+        UsageError(f"{lobe.__name__}: unknown parameter 'shininess'; expected {known}")
+    )  # long ones are shortened
+    with pytest.raises(UsageError, match=f"^{re.escape(said)}$"):
         lobe(shininess=1.0)
     key = next(iter(lobe.parameter_specs))
     with pytest.raises(ShapeError, match=rf"^{lobe.__name__}\.{key}: expected \(\.\.\., .*3\), found \(2,\)$"):

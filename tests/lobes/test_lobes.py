@@ -11,7 +11,8 @@ from helpers.lobe_cases import every_lobe, made, middle, some_pairs, values
 from torch import Tensor
 
 from torchbrdf.errors import ShapeError
-from torchbrdf.lobes import LOBES, Lobe
+from torchbrdf.lobes import LOBES
+from torchbrdf.lobes.separable import tangents
 from torchbrdf.pairs import Pairs
 
 DTYPES = [torch.float32, torch.float64]
@@ -230,13 +231,18 @@ def test_pairs_that_know_no_azimuth_are_refused(name: str) -> None:
 
 @every_anisotropic
 def test_derivatives_of_the_anisotropic(name: str) -> None:
-    """Those of `value_and_jacobian` are those of forward differentiation, at equal widths, too."""
+    """Those of closed forms are those of forward differentiation, at equal widths, too."""
     kind, pairs = LOBES[name], some_pairs(200)
-    scalars = {spec.name: torch.tensor([[spec.start], [0.9 * spec.start + 0.1]]).double() for spec in kind.scalars()}
+    specs = kind.term_scalars()
+    scalars = {spec.name: torch.tensor([[spec.start], [0.9 * spec.start + 0.1]]).double() for spec in specs}
     scalars[kind.axes[1]][1] = scalars[kind.axes[0]][1]
-    expected = Lobe.value_and_jacobian.__func__(kind, pairs, *scalars.values())  # type: ignore[attr-defined]
-    for own, other in zip(kind.value_and_jacobian(pairs, *scalars.values()), expected, strict=True):
-        torch.testing.assert_close(own, other, rtol=1e-9, atol=1e-12)
+    terms, slopes = kind.terms_and_jacobian(pairs, *scalars.values())
+    others, expected = tangents(lambda *own: kind.terms(pairs, *own), list(scalars.values()))
+    for own, other in zip([terms, *slopes], [others, *expected], strict=True):
+        for one, two in zip(own, other, strict=True):
+            zero = torch.zeros(2, 200, dtype=torch.float64)
+            values = [zero if value is None else value.expand(2, 200) for value in (one, two)]
+            torch.testing.assert_close(*values, rtol=1e-9, atol=1e-12)
 
 
 @every_lobe

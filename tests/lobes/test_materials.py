@@ -24,8 +24,8 @@ def some_pairs(count: int = 400) -> Pairs:
     return Pairs.from_directions(hemisphere(count, seed=3), hemisphere(count, seed=4))
 
 
-def test_there_are_four() -> None:
-    assert WHOLE == ["gltf", "openpbr", "principled", "roughplastic"]
+def test_there_are_six() -> None:
+    assert WHOLE == ["gltf", "gltf_anisotropic", "openpbr", "openpbr_anisotropic", "principled", "roughplastic"]
 
 
 def schlick(f0: float, cosine: Tensor) -> Tensor:

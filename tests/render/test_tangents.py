@@ -233,3 +233,45 @@ def test_texture_coordinates_that_say_nothing(text: str, tmp_path: Path) -> None
     mesh = Mesh.load(path)
     assert mesh.tangents is None and len(mesh.faces) == 3
     assert not np.isnan(mesh.normals).any()
+
+
+def test_a_mesh_is_saved_with_its_tangents(tmp_path: Path) -> None:
+    """In single precision; a vertex without one has none again, and texture coordinates count for less."""
+    mesh = turned(sphere(3), 0.4)
+    mesh.tangents[5] = 0  # type: ignore[index]
+    mesh.save(tmp_path / "ball.ply")
+    again = Mesh.load(tmp_path / "ball.ply")
+    assert again.tangents is not None
+    np.testing.assert_allclose(again.unit_tangents(), mesh.unit_tangents(), atol=1e-6)
+    assert not again.tangents[5].any()
+    sphere(3).save(tmp_path / "plain.ply")
+    assert Mesh.load(tmp_path / "plain.ply").tangents is None and b"tx" not in (tmp_path / "plain.ply").read_bytes()
+
+
+def test_tangents_of_a_file_count_before_texture_coordinates(tmp_path: Path) -> None:
+    names = ["x", "y", "z", "u", "v", "tx", "ty", "tz"]
+    rows = [[0, 0, 0, 0, 0, 0, 2, 0.5], [1, 0, 0, 1, 0, "nan", 0, 0], [0, 1, 0, 0, 1, 0, 0, 0]]
+    (tmp_path / "flat.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\n"
+        + "".join(f"property float {name}\n" for name in names)
+        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        + "\n".join(" ".join(map(str, row)) for row in rows)
+        + "\n3 0 1 2\n"
+    )
+    np.testing.assert_allclose(Mesh.load(tmp_path / "flat.ply").tangents, [[0, 1, 0], [1, 0, 0], [1, 0, 0]])
+
+
+def test_other_formats_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"ball.obj: expected a name that ends in .ply, found '.obj'$"):
+        sphere(1).save(tmp_path / "ball.obj")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_unit_tangents_are_those_that_are_drawn() -> None:
+    mesh = turned(sphere(3), 0.4)
+    found = mesh.unit_tangents()
+    np.testing.assert_allclose((found * mesh.normals).sum(1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    np.testing.assert_allclose(found, mesh.tangents / 2.5, atol=1e-12)  # type: ignore[operator]
+    along_normals = replace(mesh, tangents=3 * mesh.normals)
+    np.testing.assert_allclose(along_normals.unit_tangents(), level_tangents(mesh.normals))

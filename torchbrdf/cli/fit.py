@@ -30,6 +30,8 @@ RENDERED, COMBINED = "rendered", "combined"
 # The options that only losses of pictures have, and what they are if they are not given.
 OF_RENDERED = {"difference": "delta_e76", "environment": "grove", "shape": "blob", "size": 128, "lights": 1024}
 OF_PICTURES = {RENDERED: OF_RENDERED, COMBINED: OF_RENDERED | {"size": 24}}
+# Of lobes with a grain, whose pictures are of every pixel's own pairs; they are known by their names, before torch is.
+GRAIN, OF_GRAIN = "_anisotropic", {"size": 24, "lights": 256}
 
 DESCRIPTION = """\
 Fit a model to measured BRDFs: files of eighteen formats (MERL, RGL, ASTM E1392, CSV and others, told by their content),
@@ -186,7 +188,8 @@ def _check_names(options: Options) -> None:
     check_word("--intervals", options.intervals, INTERVALS)
     check_model(options.model)
     LOSSES.check(options.loss, *OF_PICTURES)
-    for key, default in OF_PICTURES.get(options.loss, OF_RENDERED).items():
+    defaults = OF_PICTURES.get(options.loss, OF_RENDERED) | (OF_GRAIN if GRAIN in options.model else {})
+    for key, default in defaults.items():
         if getattr(options, key) is None:
             setattr(options, key, default)
         elif options.loss not in OF_PICTURES:
@@ -201,12 +204,14 @@ def _loss(options: Options) -> "Loss":
 
     if options.loss not in OF_PICTURES:
         return make_loss(options.loss)
+    from torchbrdf.lobes import make_model
     from torchbrdf.render import Environment, RenderedLoss, Scene, cache_folder, find_mesh, small_scene
 
     difference = DIFFERENCES[options.difference]()
     light = Environment.find(options.environment)
     mesh = find_mesh(options.shape)
-    settings = {"size": options.size, "light_samples": options.lights, "cache": cache_folder()}
+    has_grain = make_model(options.model, options.lobes).is_anisotropic
+    settings = {"size": options.size, "light_samples": options.lights, "cache": cache_folder(), "oriented": has_grain}
     if options.loss == COMBINED:
         return CombinedLoss(LearnedLoss(), RenderedLoss(small_scene(mesh, light, **settings), difference))
     return RenderedLoss(Scene(mesh, None, light, **settings), difference)

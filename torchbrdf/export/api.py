@@ -10,7 +10,7 @@ import torch
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.bands import in_rgb
-from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material
+from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, refuse_grain
 from torchbrdf.export.tables import reach
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, read_fits
@@ -106,9 +106,8 @@ def refuse_matches(exporter: Exporter, material: Material, out: str | os.PathLik
 
 def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> Exported:
     """Write a material by an exporter, but never in the place of the file that it is made of."""
-    if exporter.isotropic_only and isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic:
-        to = EXPORTERS.name_of(type(exporter)) or type(exporter).__name__
-        raise DataError(f"{material.name}: expected an isotropic material for {to}, found one with a grain")
+    if exporter.no_grain:
+        refuse_grain(material, EXPORTERS.name_of(type(exporter)) or type(exporter).__name__, exporter.no_grain)
     check_bands(exporter, material)
     folder = writable(Path(out))
     for suffix in (exporter.suffix, *exporter.beside):

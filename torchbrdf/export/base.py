@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchbrdf import kinds
-from torchbrdf.errors import UsageError
+from torchbrdf.errors import DataError, UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.measured import Measured
 from torchbrdf.names import check_name, file_stem
@@ -85,14 +85,14 @@ class Exporter(ABC):
         suffix: Of the file to open, such as ".xml".
         beside: Suffixes of other files that it may write, such as ".bsdf".
         writes_mesh: Whether an object is written, too.
-        isotropic_only: Whether lobes with a grain are refused, as tables have no room for them.
+        no_grain: Why lobes with a grain are refused; "" where they are not.
         keeps_bands: Whether bands of wavelengths are written as they are; others write linear RGB.
     """
 
     suffix: ClassVar[str]
     beside: ClassVar[tuple[str, ...]] = ()
     writes_mesh: ClassVar[bool] = False
-    isotropic_only: ClassVar[bool] = False
+    no_grain: ClassVar[str] = ""
     keeps_bands: ClassVar[bool] = False
 
     def __init__(self, mesh: Mesh | None = None) -> None:
@@ -115,6 +115,26 @@ class Exporter(ABC):
         Raises:
             TorchbrdfError: The program cannot show such a material, in one line that says why.
         """
+
+
+def has_grain(material: Material) -> bool:
+    """Whether a material is a model with a grain."""
+    return isinstance(material.brdf, Lobe) and material.brdf.is_anisotropic
+
+
+def refuse_grain(material: Material, to: str, lacks: str) -> None:
+    """Refuse a lobe with a grain.
+
+    Args:
+        material: What is exported.
+        to: The exporter's name.
+        lacks: What it has no place for a grain in, in a few words.
+
+    Raises:
+        DataError: The material is a lobe with a grain.
+    """
+    if has_grain(material):
+        raise DataError(f"{material.name}: expected an isotropic material for {to}, found one with a grain: {lacks}")
 
 
 def numbers(value: Tensor) -> list[float]:

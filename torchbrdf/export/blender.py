@@ -4,15 +4,17 @@ Blender Foundation, Blender 5.0 Manual, Principled BSDF,
 https://docs.blender.org/manual/en/latest/render/shader_nodes/shader/principled.html.
 """
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, has_grain
 from torchbrdf.export.mtlx import conductor, diffuse, ggx, inputs_of
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values
-from torchbrdf.lobes import OpenPBR
+from torchbrdf.lobes import GGX, GGXAnisotropic, OpenPBR, OpenPBRAnisotropic
 from torchbrdf.lobes.fresnel import schlick
 from torchbrdf.lobes.openpbr import below_coat, darkening, eta_below_coat
 
@@ -32,7 +34,11 @@ SOCKETS: dict[str, Limits] = {
     "Sheen Weight": UNIT,
     "Sheen Roughness": UNIT,
     "Sheen Tint": COLOUR,
+    "Anisotropic": UNIT,
+    "Anisotropic Rotation": UNIT,
 }
+# 1 - the least quotient of both widths.
+LARGEST_ANISOTROPY = 0.9
 # Those that say the same as an input of OpenPBR.
 SAME = {
     "base_color": "Base Color",
@@ -69,6 +75,32 @@ def sockets(inputs: Values) -> Values:
     found = {SAME[name]: value for name, value in inputs.items() if name in SAME}
     weight = inputs.get("specular_weight", 1.0)
     return found | {"Specular IOR Level": weight / 2 if isinstance(weight, float) else 0.5}
+
+
+def grain(along: float, across: float, rotation: float) -> Values:
+    """Sockets of a grain, of alpha along and across its x axis.
+
+    Blender's wide direction has alpha = roughness^2 / aspect, the other one roughness^2 aspect, where
+    aspect = sqrt(1 - 0.9 anisotropic): B. Burley, Physically-Based Shading at Disney, 2012, as Cycles has it. Its
+    rotation counts turns.
+    """
+    narrow, wide = min(along, across), max(along, across)
+    turn = rotation if along > across else rotation + math.pi / 2
+    return {
+        "Roughness": (narrow * wide) ** 0.25,
+        "Anisotropic": (1 - narrow / wide) / LARGEST_ANISOTROPY,
+        "Anisotropic Rotation": turn % math.pi / (2 * math.pi),
+    }
+
+
+def sockets_with_grain(lobe: OpenPBRAnisotropic) -> Values:
+    """The sockets for OpenPBR with a grain: those without it, with two roughnesses, which a coat makes larger."""
+    along, across = lobe.specular_roughness_x.item() ** 2, lobe.specular_roughness_y.item() ** 2
+    own = {name: getattr(lobe, name).detach() for name in lobe.parameter_specs if name in OpenPBR.parameter_specs}
+    roughness = ((along**2 + across**2) / 2) ** 0.25
+    plain = sockets(inputs_for_blender(OpenPBR(**own, specular_roughness=roughness)))
+    rougher = float(plain["Roughness"]) ** 2 / roughness**2  # type: ignore[arg-type]
+    return plain | grain(along * rougher, across * rougher, lobe.rotation.item())
 
 
 def inputs_for_blender(lobe: OpenPBR) -> Values:
@@ -127,6 +159,22 @@ BLENDER = Target(
 )
 
 
+def _brushed(lobe: GGXAnisotropic) -> Values | None:
+    """A metal with a grain."""
+    straight = _metal(ggx(GGX(specular=lobe.specular.detach(), roughness=0.5, f0=lobe.f0.detach())))
+    if straight is None:
+        return None
+    return straight | grain(lobe.roughness_x.item(), lobe.roughness_y.item(), lobe.rotation.item())
+
+
+WITH_GRAIN = replace(
+    BLENDER,
+    model="openpbr_anisotropic",
+    translated=sockets_with_grain,
+    simple={**BLENDER.simple, "ggx_anisotropic": _brushed},
+)
+
+
 @EXPORTERS.register("blender")
 class Blender(Exporter):
     """A script for `blender --python FILE`."""
@@ -135,7 +183,7 @@ class Blender(Exporter):
 
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the script."""
-        shading = BLENDER.shading(material)
+        shading = (WITH_GRAIN if has_grain(material) else BLENDER).shading(material)
         return shading.write(material.path(folder, self.suffix), script(shading.values, material.name))
 
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
+from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers, refuse_grain
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, Lobe
 from torchbrdf.lobes.parameter import BoundedParameter
@@ -33,7 +33,6 @@ vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)
 class BrdfExplorer(Exporter):
     """A `.brdf` file where every lobe has GLSL, see `shaders/`; else a MERL table, which BRDF Explorer reads, too."""
 
-    isotropic_only: ClassVar[bool] = True
     suffix: ClassVar[str] = ".brdf"
     beside: ClassVar[tuple[str, ...]] = (".binary",)
 
@@ -41,6 +40,7 @@ class BrdfExplorer(Exporter):
         """Write the GLSL, or the table."""
         names = shader_names(material.brdf)
         if names is None or not isinstance(material.brdf, Lobe):
+            refuse_grain(material, "brdf", "not all of its lobes have GLSL, and a MERL table has no room for it")
             return EXPORTERS["merl"]().write(material, folder)
         path = material.path(folder, self.suffix)
         write_text(path, to_glsl(material.brdf, names))

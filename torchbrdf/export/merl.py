@@ -11,7 +11,7 @@ from torchbrdf.measured import Measured, Merl, load, merl_values, write_merl
 class MerlTable(TableExporter):
     """A `.binary` of 90 x 90 x 180 bins; a measurement of MERL's as it is."""
 
-    isotropic_only = True
+    no_grain = "MERL's bins have no azimuth of the half vector"
     suffix = ".binary"
 
     def write_file(self, material: Material, path: Path) -> Exported:

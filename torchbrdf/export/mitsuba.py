@@ -3,25 +3,21 @@
 W. Jakob et al., Mitsuba 3 renderer, 2022, https://mitsuba-renderer.org.
 """
 
-import copy
-import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError
 from torchbrdf.export.api import material_of, write
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, numbers
-from torchbrdf.export.refit import refit
+from torchbrdf.export.grain import along_the_tangent, quarters
 from torchbrdf.export.shading import visible
 from torchbrdf.files import write_text
 from torchbrdf.lobes import LOBES, FitRecord, Lambert, Lobe
-from torchbrdf.lobes.parameter_dict import get_parameters
 from torchbrdf.measured import Measured
 from torchbrdf.measured.plausibility import RECIPROCITY_TOLERANCE, nonreciprocity
 from torchbrdf.names import file_stem
@@ -43,10 +39,6 @@ NAMES = {"albedo": "reflectance", "roughness": "alpha", "specular": "specular_re
 WITH_GRAIN = {**NAMES, "roughness_x": "alpha_u", "roughness_y": "alpha_v"}
 # What is fitted to other lobes with a grain.
 NEAREST_GRAIN = "lambert+roughconductor_anisotropic"
-# Of a quarter of a turn: Mitsuba's plugins have no rotation but those, which exchange the widths.
-QUARTER = 1e-6
-# The same of a model that was fitted, whose rotation has an error of its own.
-STRAIGHT = 0.02
 # Colours of Mitsuba's that are one number here.
 GREY = ("specular_reflectance",)
 # The lobes that Mitsuba has in the same form, by their registered names: a plugin with settings, its parameter that
@@ -81,7 +73,7 @@ def mitsuba_dict(brdf: Brdf | FitRecord | str | os.PathLike[str], folder: str | 
         {'type': 'diffuse', 'reflectance': {'type': 'rgb', 'value': [0.5, 0.25, 0.125]}}
     """
     material = material_of(brdf)
-    plugin = plugin_of(_near(material).shown)
+    plugin = plugin_of(_near(material)[0])
     if plugin is not None:
         return plugin
     table = write(EXPORTERS["rgl"](), material, folder or Path())
@@ -96,7 +88,7 @@ def plugin_of(brdf: Brdf) -> Bsdf | None:
     if not isinstance(brdf, Lobe):
         return None
     parts = visible(brdf) or [Lambert(albedo=0.0)]
-    if any(LOBES.name_of(type(part)) not in PLUGINS or _quarters(part) is None for part in parts):
+    if not _has(parts) or any(quarters(part) is None for part in parts):
         return None
     if len(parts) == 1:
         return _plugin(parts[0], 1.0)
@@ -132,65 +124,22 @@ def _plugin(lobe: Lobe, factor: float) -> Bsdf:
             continue
         name = names.get(own, own)
         made[name] = _color(found * (3 // len(found))) if len(found) == 3 or name in GREY else found[0]
-    if _quarters(lobe) == 1:
+    if quarters(lobe) == 1:
         made["alpha_u"], made["alpha_v"] = made["alpha_v"], made["alpha_u"]
     return made
 
 
-def _turns(lobe: Lobe) -> float:
-    """The rotation of a lobe's grain in quarters of a turn."""
-    return float(lobe.rotation.item() / (math.pi / 2))  # type: ignore[operator]
-
-
-def _quarters(lobe: Lobe) -> int | None:
-    """Whether a lobe's grain lies along the tangent, 0, or across it, 1; None if it lies otherwise."""
-    turns = _turns(lobe) if lobe.is_anisotropic else 0.0
-    return round(turns) % 2 if abs(turns - round(turns)) < QUARTER else None
-
-
-class _Grain(NamedTuple):
-    """A model with a grain that Mitsuba has, and what was changed to get there, one line each."""
-
-    shown: Brdf
-    notes: list[str]
-
-
-def _near(material: Material) -> _Grain:
-    """What Mitsuba has of a model with a grain; all else as it is."""
+def _near(material: Material) -> tuple[Brdf, list[str]]:
+    """What Mitsuba has of a model with a grain, and what was changed for it; all else as it is."""
     brdf = material.brdf
-    if isinstance(brdf, Lobe) and brdf.is_anisotropic:
-        return _with_grain(material, brdf)
-    return _Grain(brdf, [])
+    if not isinstance(brdf, Lobe) or not brdf.is_anisotropic:
+        return brdf, []
+    return along_the_tangent(material, brdf, _has, NEAREST_GRAIN, "mitsuba")
 
 
-def _with_grain(material: Material, model: Lobe) -> _Grain:
-    """The model itself, if Mitsuba has it; else the nearest one, whose grain lies along the tangent.
-
-    Raises:
-        DataError: Its lobes have grains in several directions.
-    """
-    notes = list[str]()
-    if any(LOBES.name_of(type(part)) not in PLUGINS for part in visible(model)):
-        found = refit(material, NEAREST_GRAIN)
-        model, notes = found.model, [found.note]
-        for part in model.components():
-            if part.is_anisotropic and abs(nearest := _turns(part) - round(_turns(part))) < STRAIGHT:
-                part.rotation = (_turns(part) - nearest) * math.pi / 2
-    model = copy.deepcopy(model)
-    grains = [part for part in visible(model) if part.is_anisotropic]
-    if all(_quarters(part) is not None for part in grains):
-        return _Grain(model, notes)
-    for part in grains:
-        for name, value in type(part).canonical(get_parameters(part)).items():
-            setattr(part, name, value)
-    first, *others = [numbers(part.rotation)[0] for part in grains]  # type: ignore[arg-type]
-    if any(abs(math.sin(2 * (other - first))) > QUARTER for other in others):
-        angles = ", ".join(f"{angle:.3g}" for angle in (first, *others))
-        raise DataError(f"{material.name}: expected one direction of the grain for mitsuba, found rotations {angles}")
-    for part, own in zip(grains, (first, *others), strict=True):
-        part.rotation = round((own - first) / (math.pi / 2)) % 2 * math.pi / 2
-    turn = f"{math.degrees(first):.4g} degrees counterclockwise"
-    return _Grain(model, [*notes, f"without the rotation of the grain: turn the texture coordinates by {turn}"])
+def _has(parts: list[Lobe]) -> bool:
+    """Whether Mitsuba has all lobes, wherever their grains lie."""
+    return all(LOBES.name_of(type(part)) in PLUGINS for part in parts)
 
 
 def _color(channels: list[float]) -> Bsdf:
@@ -213,13 +162,13 @@ class Mitsuba(Exporter):
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the table, if there has to be one, and the XML file that names it."""
         path = material.path(folder, self.suffix)
-        grain = _near(material)
-        plugin = plugin_of(grain.shown)
+        shown, changed = _near(material)
+        plugin = plugin_of(shown)
         if plugin is not None:
             write_text(path, to_xml(plugin, material.name))
-            exact = not grain.notes
-            notes = [f"exact: Mitsuba's {_types(plugin)}"] if exact else [*grain.notes, f"Mitsuba's {_types(plugin)}"]
-            return Exported([path], exact, notes, material.brdf if exact else grain.shown)
+            exact = not changed
+            notes = [f"exact: Mitsuba's {_types(plugin)}"] if exact else [*changed, f"Mitsuba's {_types(plugin)}"]
+            return Exported([path], exact, notes, material.brdf if exact else shown)
         table = EXPORTERS["rgl"]().write(
             Material(file_stem(material.name.replace(PARAMETER, "?")), material.brdf), folder
         )

@@ -4,14 +4,16 @@ Academy Software Foundation, MaterialX 1.39, https://materialx.org; OpenPBR Surf
 https://academysoftwarefoundation.github.io/OpenPBR.
 """
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material
+from torchbrdf.export.base import EXPORTERS, Exported, Exporter, Material, has_grain
 from torchbrdf.export.shading import COLOUR, UNIT, Limits, Target, Values, numbers_of
-from torchbrdf.lobes import EON, GGX, Lambert
+from torchbrdf.lobes import EON, GGX, GGXAnisotropic, Lambert
 
 VERSION = "1.39"
 # Linear, with the primaries of Rec. 709.
@@ -35,6 +37,9 @@ INPUTS: dict[str, Limits] = {
     "fuzz_color": COLOUR,
     "fuzz_roughness": UNIT,
 }
+ANISOTROPY = "specular_roughness_anisotropy"
+# An input that is a vector: here the azimuth of the wide direction from the mesh's tangent, radians.
+TANGENT = "geometry_tangent"
 
 
 def diffuse(lobe: Lambert | EON) -> Values:
@@ -71,6 +76,36 @@ def _metal(f0: list[float], tint: list[float], weight: float, alpha: float) -> V
     }
 
 
+def ggx_with_grain(lobe: GGXAnisotropic) -> Values | None:
+    """The same with the grain of GGX."""
+    straight = ggx(GGX(specular=lobe.specular.detach(), roughness=0.5, f0=lobe.f0.detach()))
+    if straight is None:
+        return None
+    return straight | grain(lobe.roughness_x.item(), lobe.roughness_y.item(), lobe.rotation.item())
+
+
+def grain(along: float, across: float, rotation: float) -> Values:
+    """OpenPBR's roughness, anisotropy and direction of a grain, of alpha along and across its x axis.
+
+    The wide direction has alpha_t = roughness^2 sqrt(2 / (1 + (1 - anisotropy)^2)), the other one
+    alpha_b = (1 - anisotropy) alpha_t: OpenPBR 1.1, "Microfacet model".
+    """
+    narrow, wide = min(along, across), max(along, across)
+    turn = rotation if along > across else rotation + math.pi / 2
+    return {
+        "specular_roughness": ((wide**2 + narrow**2) / 2) ** 0.25,
+        ANISOTROPY: 1 - narrow / wide,
+        TANGENT: turn % math.pi,
+    }
+
+
+def inputs_with_grain(lobe: Any) -> Values:
+    """The lobe has OpenPBR's own parameters, but for those of the grain."""
+    along, across = lobe.specular_roughness_x.item() ** 2, lobe.specular_roughness_y.item() ** 2
+    others = {name: numbers_of(getattr(lobe, name)) for name in lobe.parameter_specs if name in INPUTS}
+    return others | grain(along, across, lobe.rotation.item())
+
+
 def inputs_of(lobe: Any) -> Values:
     """The lobe has OpenPBR's own parameters."""
     return {name: numbers_of(getattr(lobe, name)) for name in lobe.parameter_specs}
@@ -86,6 +121,14 @@ OPENPBR = Target(
     name="mtlx",
 )
 
+WITH_GRAIN = replace(
+    OPENPBR,
+    limits={**INPUTS, ANISOTROPY: UNIT, TANGENT: Limits(0.0, math.pi)},
+    model="openpbr_anisotropic",
+    translated=inputs_with_grain,
+    simple={**OPENPBR.simple, "ggx_anisotropic": ggx_with_grain},
+)
+
 
 @EXPORTERS.register("mtlx")
 class MaterialX(Exporter):
@@ -95,7 +138,7 @@ class MaterialX(Exporter):
 
     def write(self, material: Material, folder: Path) -> Exported:
         """Write the document."""
-        shading = OPENPBR.shading(material)
+        shading = (WITH_GRAIN if has_grain(material) else OPENPBR).shading(material)
         return shading.write(material.path(folder, self.suffix), document(shading.values, material.name))
 
 
@@ -103,7 +146,8 @@ def document(values: Values, name: str) -> str:
     """The text of a MaterialX document.
 
     Args:
-        values: Inputs of `open_pbr_surface` by name; what is not among them has its default there.
+        values: Inputs of `open_pbr_surface` by name; what is not among them has its default there. `TANGENT` is the
+            angle in radians by which the mesh's tangent is turned.
         name: Of the material.
 
     Example:
@@ -112,15 +156,36 @@ def document(values: Values, name: str) -> str:
     """
     node = node_name(name)
     root = ElementTree.Element("materialx", version=VERSION, colorspace=COLOUR_SPACE)
+    values = dict(values)
+    turn = values.pop(TANGENT, None)
+    if turn is not None and values.get(ANISOTROPY):
+        _turned_tangent(root, node, float(turn))  # type: ignore[arg-type]
     surface = ElementTree.SubElement(root, "open_pbr_surface", name=f"{node}_surface", type="surfaceshader")
     for key, value in values.items():
         kind = "color3" if isinstance(value, list) else "float"
         text = ", ".join(map(repr, value)) if isinstance(value, list) else repr(value)
         ElementTree.SubElement(surface, "input", name=key, type=kind, value=text)
+    if root.find(f"*[@name='{node}_tangent']") is not None:
+        ElementTree.SubElement(surface, "input", name=TANGENT, type="vector3", nodename=f"{node}_tangent")
     material = ElementTree.SubElement(root, "surfacematerial", name=node, type="material", doc=name)
     ElementTree.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{node}_surface")
     ElementTree.indent(root)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _turned_tangent(root: ElementTree.Element, node: str, turn: float) -> None:
+    """Nodes for cos(turn) tangent + sin(turn) bitangent: of `rotate3d` it is open to which side it turns."""
+    parts = []
+    for direction, share in (("tangent", math.cos(turn)), ("bitangent", math.sin(turn))):
+        own = ElementTree.SubElement(root, direction, name=f"{node}_own_{direction}", type="vector3")
+        ElementTree.SubElement(own, "input", name="space", type="string", value="world")
+        part = ElementTree.SubElement(root, "multiply", name=f"{node}_along_{direction}", type="vector3")
+        ElementTree.SubElement(part, "input", name="in1", type="vector3", nodename=f"{node}_own_{direction}")
+        ElementTree.SubElement(part, "input", name="in2", type="float", value=repr(float(f"{share:.7g}")))
+        parts.append(f"{node}_along_{direction}")
+    total = ElementTree.SubElement(root, "add", name=f"{node}_tangent", type="vector3")
+    for name, part_name in zip(("in1", "in2"), parts, strict=True):
+        ElementTree.SubElement(total, "input", name=name, type="vector3", nodename=part_name)
 
 
 def node_name(name: str) -> str:

@@ -12,7 +12,7 @@ from torchbrdf.measured.rgl_table import ANGLES, SIZE
 class RglTable(TableExporter):
     """A `.bsdf` for Mitsuba's material `measured`; a measurement of RGL's as it is."""
 
-    isotropic_only = True
+    no_grain = "the table has one azimuth of the light"
     suffix = ".bsdf"
 
     def write_file(self, material: Material, path: Path) -> Exported:

@@ -15,6 +15,8 @@ from torchbrdf.measured import Measured
 
 # How far beyond a limit a value may be by rounding, as a share of the limit, or of 1.
 ROUNDING = 1e-5
+# A factor of a lobe that is as good as 0: of the sharpest one nothing is seen.
+BLACK = 1e-10
 
 Value = float | list[float]
 """A number, or a linear RGB colour."""
@@ -128,11 +130,11 @@ def visible(brdf: Lobe) -> list[Lobe]:
 
 
 def _is_black(lobe: Lobe) -> bool:
-    """Whether a factor of the lobe is 0."""
+    """Whether a factor of the lobe is 0, or what solvers leave of that."""
     factors = [
         name for name, spec in lobe.parameter_specs.items() if spec.linear or (lobe.is_diffuse and spec.size == 3)
     ]
-    return any(not bool(getattr(lobe, name).any()) for name in factors)
+    return any(bool((getattr(lobe, name).abs() <= BLACK).all()) for name in factors)
 
 
 def within(values: Mapping[str, Value], limits: Mapping[str, Limits], where: str) -> tuple[Values, list[str]]:

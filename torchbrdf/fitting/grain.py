@@ -25,7 +25,7 @@ def check_grain(model: Lobe, measured: Measured, loss: Loss) -> None:
         loss: under which.
 
     Raises:
-        UsageError: the measurement is isotropic, or the loss compares pictures, whose pairs are taken for those of
+        UsageError: the measurement is isotropic, or the loss compares pictures of a scene whose pairs are those of
             isotropic materials.
     """
     with_grain = [type(one) for one in model.components() if one.is_anisotropic]
@@ -37,10 +37,11 @@ def check_grain(model: Lobe, measured: Measured, loss: Loss) -> None:
             f"{lobe}: expected an anisotropic measurement, found {measured.names[0]} ({measured.source.format}), "
             "which does not say how the surface is turned; fit an isotropic lobe"
         )
-    if isinstance(loss, ImageLoss | CombinedLoss):
+    pictures = loss.rendered if isinstance(loss, CombinedLoss) else loss
+    if isinstance(pictures, ImageLoss) and not pictures.pairs.is_oriented:
         raise UsageError(
-            f"{lobe}: expected a loss of BRDF values, found {loss.registered_name}, whose pictures are of isotropic "
-            "lobes"
+            f"{lobe}: expected pictures of a scene whose pairs know the tangent, Scene(..., oriented=True), for "
+            f"{loss.registered_name}, found one whose pairs do not"
         )
 
 

@@ -77,7 +77,7 @@ class ImageDriven:
         candidates = [self.search(task.under(loss), values, fit_diffuse) for loss in losses]
         models = [with_parameters(task.model, found.values) for found in candidates]
         objective = task.objective if task.full is None else task.full
-        error = errors(models, objective.problem, [objective.loss])[0]  # (K, M)
+        error = errors(models, objective.scored, [objective.loss])[0]  # (K, M)
         nearest = error.nan_to_num(torch.inf).argmin(0)
         rows = range(len(nearest))
         picked = [candidates[k] for k in nearest.tolist()]

@@ -15,21 +15,24 @@ from torchbrdf.lobes.cook_torrance_ior import CookTorranceIOR, cook_torrance_ior
 from torchbrdf.lobes.distribution_based import DistributionBased, distribution_based
 from torchbrdf.lobes.duer import Duer, duer
 from torchbrdf.lobes.eon import EON, eon
+from torchbrdf.lobes.fits import OutsideBoundsWarning, read_fits, write_fits
 from torchbrdf.lobes.fresnel import conductor, dielectric, schlick
 from torchbrdf.lobes.ggx import GGX, ggx
 from torchbrdf.lobes.ggx_anisotropic import GGXAnisotropic, ggx_anisotropic
 from torchbrdf.lobes.ggx_f82 import GGXF82, ggx_f82
 from torchbrdf.lobes.gltf import GLTF, gltf
+from torchbrdf.lobes.gltf_anisotropic import GLTFAnisotropic, gltf_anisotropic
 from torchbrdf.lobes.gtr import GTR, gtr
 from torchbrdf.lobes.he import He, he
 from torchbrdf.lobes.lafortune import Lafortune, lafortune
 from torchbrdf.lobes.lambert import Lambert, lambert
 from torchbrdf.lobes.model import from_parameters, make_model, model_name, parameters
 from torchbrdf.lobes.openpbr import OpenPBR, openpbr
+from torchbrdf.lobes.openpbr_anisotropic import OpenPBRAnisotropic, openpbr_anisotropic
 from torchbrdf.lobes.oren_nayar import OrenNayar, oren_nayar
 from torchbrdf.lobes.parameter import BoundedParameter, albedo
 from torchbrdf.lobes.principled import Principled, principled
-from torchbrdf.lobes.records import FitRecord, OutsideBoundsWarning, model_of, read_fits, write_fits
+from torchbrdf.lobes.records import FitRecord, model_of
 from torchbrdf.lobes.roughconductor import RoughConductor, roughconductor
 from torchbrdf.lobes.roughconductor_anisotropic import RoughConductorAnisotropic, roughconductor_anisotropic
 from torchbrdf.lobes.roughness import (
@@ -44,6 +47,7 @@ from torchbrdf.lobes.roughplastic import RoughPlastic, roughplastic
 from torchbrdf.lobes.shifted_gamma import ShiftedGamma, shifted_gamma
 from torchbrdf.lobes.student_t import StudentT, student_t
 from torchbrdf.lobes.sum import Sum
+from torchbrdf.lobes.terms import Separable
 from torchbrdf.lobes.ward import Ward, ward
 from torchbrdf.lobes.ward_anisotropic import WardAnisotropic, ward_anisotropic
 from torchbrdf.lobes.ward_duer import WardDuer, ward_duer
@@ -70,6 +74,7 @@ __all__ = [
     "Duer",
     "FitRecord",
     "GGXAnisotropic",
+    "GLTFAnisotropic",
     "He",
     "Lafortune",
     "Lambert",
@@ -77,6 +82,7 @@ __all__ = [
     "LowABC",
     "LowABCSmooth",
     "OpenPBR",
+    "OpenPBRAnisotropic",
     "OrenNayar",
     "OutsideBoundsWarning",
     "Principled",
@@ -84,6 +90,7 @@ __all__ = [
     "RoughConductorAnisotropic",
     "RoughPlastic",
     "RoughnessConvention",
+    "Separable",
     "ShiftedGamma",
     "StudentT",
     "Sum",
@@ -116,6 +123,7 @@ __all__ = [
     "ggx_anisotropic",
     "ggx_f82",
     "gltf",
+    "gltf_anisotropic",
     "gtr",
     "he",
     "lafortune",
@@ -124,6 +132,7 @@ __all__ = [
     "model_name",
     "model_of",
     "openpbr",
+    "openpbr_anisotropic",
     "oren_nayar",
     "parameters",
     "principled",

@@ -26,6 +26,18 @@ def rotation_of_the_grain() -> BoundedParameter:
     )
 
 
+def width(axis: str, start: float, upper: float = 1.0) -> BoundedParameter:
+    """Declare alpha along an axis of a lobe's own."""
+    return BoundedParameter(start=start, lower=0.001, upper=upper, log=True, doc=f"alpha along the lobe's {axis} axis")
+
+
+def root_of_width(axis: str, start: float) -> BoundedParameter:
+    """Declare the roughness of a whole material along an axis of its own, the square root of alpha."""
+    return BoundedParameter(
+        start=start, lower=0.032, upper=1.0, log=True, doc=f"the square root of alpha along the lobe's {axis} axis"
+    )
+
+
 def in_the_grain(x: Tensor, y: Tensor, rotation: Tensor) -> tuple[Tensor, Tensor]:
     """Components along the lobe's own axes of vectors with components along tangent and bitangent, `(..., N)`."""
     cos, sin = rotation.cos(), rotation.sin()
@@ -48,7 +60,7 @@ class AnisotropicLobe(Lobe):
     """
 
     is_anisotropic: ClassVar[bool] = True
-    axes: ClassVar[tuple[str, str]]
+    axes: ClassVar[tuple[str, str]] = ("roughness_x", "roughness_y")
     """The parameters that say how wide the lobe is along x and along y."""
     rises_with_width: ClassVar[bool] = True
     """Whether those are widths; if not, they are exponents."""

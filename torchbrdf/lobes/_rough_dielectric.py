@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes._sloped import Mixed, Value, chain, larger, linear, number, of_two, smaller
+from torchbrdf.lobes._sloped import Mixed, Value, chain, larger, linear, number, of_several, smaller
 
 COSINES = 64
 """How many cosines Mitsuba has, from 0 to 1."""
@@ -172,7 +172,7 @@ def _place(a: Mixed, angle: Mixed) -> Mixed:
     alpha, theta = number(a), number(angle)
     cos, sin = theta.cos(), theta.sin()
     square = (alpha * cos).square() + sin.square()
-    d = of_two(a, angle, torch.atan2(alpha * cos, sin), lambda: cos * sin / square, lambda: -alpha / square)
+    d = of_several(torch.atan2(alpha * cos, sin), (a, lambda: cos * sin / square), (angle, lambda: -alpha / square))
     ratio = d / a
     value = number(ratio)
     return chain(ratio, value.asinh(), lambda: (1 + value.square()).rsqrt())

@@ -5,11 +5,13 @@ only by what it knows, in a closed form where that is short.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
 
+from torchbrdf.lobes import _anisotropic_ggx
 from torchbrdf.lobes._microfacet import tangent
 from torchbrdf.lobes.base import Lobe
 from torchbrdf.lobes.fresnel import dielectric, dielectric_derivative
@@ -109,12 +111,14 @@ def root(x: Value) -> Value:
     return chain(x, value, lambda: torch.where(value > 0, 0.5 / value, 0))
 
 
-def of_two(x: Mixed, y: Mixed, value: Tensor, by_x: Callable[[], Tensor], by_y: Callable[[], Tensor]) -> Mixed:
-    """A function of x and y that has this value, and these derivatives."""
-    if not isinstance(x, Sloped) and not isinstance(y, Sloped):
+def of_several(value: Tensor, *by: tuple[Mixed, Callable[[], Tensor]]) -> Mixed:
+    """A function of some numbers that has this value, and by each of them this derivative."""
+    if not any(isinstance(x, Sloped) for x, _ in by):
         return value
-    slopes = [_sloped(one).chain(value, steep).slopes for one, steep in ((x, by_x), (y, by_y))]
-    return Sloped(value, _total(*slopes))
+    slopes: dict[str, Tensor] = {}
+    for x, steep in by:
+        slopes = _total(slopes, _sloped(x).chain(value, steep).slopes)
+    return Sloped(value, slopes)
 
 
 def linear(x: Value, function: Callable[[Tensor], Tensor]) -> Value:
@@ -150,6 +154,16 @@ def facets(pairs: Pairs, alpha: Value, visibility: Visibility) -> Value:
     seen, slope = visibility(pairs, a)
     value = ggx_distribution(a, tan2) * seen
     return chain(alpha, value, lambda: value * (slope + 2 / a - 4 * a / (a.square() + tan2)))
+
+
+def grain_facets(pairs: Pairs, a_x: Mixed, a_y: Mixed, rotation: Mixed) -> Mixed:
+    """D G / (4 cos_i cos_o) of GGX with a grain."""
+    numbers = (number(a_x), number(a_y), number(rotation))
+    own = _anisotropic_ggx.facets(
+        _anisotropic_ggx.distribution(pairs, *numbers), _anisotropic_ggx.visibility(pairs, *numbers)
+    )
+    x, y, turn = (partial(own.value.mul, slope) for slope in own[1:])
+    return of_several(own.value, (a_x, x), (a_y, y), (rotation, turn))
 
 
 def fresnel_of(pairs: Pairs, ior: Value) -> Value:

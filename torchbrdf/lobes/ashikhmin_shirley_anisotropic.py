@@ -8,10 +8,11 @@ from torch import Tensor
 
 from torchbrdf.lobes._anisotropic import AnisotropicLobe, half_slopes, rotation_of_the_grain
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp, tangent
+from torchbrdf.lobes.ashikhmin_shirley import AshikhminShirley
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
-from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.pairs import Pairs
 from torchbrdf.roots import safe_ratio
 
@@ -110,7 +111,7 @@ class AshikhminShirleyAnisotropic(AnisotropicLobe):
 
     axes: ClassVar[tuple[str, str]] = ("exponent_x", "exponent_y")
     rises_with_width: ClassVar[bool] = False
-    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
+    specular: BoundedParameter = AshikhminShirley.specular
     exponent_x: BoundedParameter = BoundedParameter(
         start=50.0, lower=0.001, upper=50000.0, log=True, doc="n_u, the sharpness along the lobe's x axis"
     )
@@ -118,9 +119,7 @@ class AshikhminShirleyAnisotropic(AnisotropicLobe):
         start=5.0, lower=0.001, upper=50000.0, log=True, doc="n_v, the sharpness along the lobe's y axis"
     )
     rotation: BoundedParameter = rotation_of_the_grain()
-    f0: BoundedParameter = BoundedParameter(
-        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
-    )
+    f0: BoundedParameter = AshikhminShirley.f0
     function = staticmethod(ashikhmin_shirley_anisotropic)
 
     @classmethod

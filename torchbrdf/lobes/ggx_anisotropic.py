@@ -1,16 +1,15 @@
 """The GGX lobe of a surface with a grain."""
 
-from typing import ClassVar
-
 from torch import Tensor
 
-from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain
+from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain, width
 from torchbrdf.lobes._anisotropic_ggx import Part, distribution, facets, visibility
 from torchbrdf.lobes._microfacet import apply_albedo
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import fresnel, schlick_weight
-from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.ggx import GGX
+from torchbrdf.lobes.parameter import BoundedParameter
 from torchbrdf.pairs import Pairs
 
 
@@ -72,18 +71,11 @@ class GGXAnisotropic(AnisotropicLobe):
         GGXAnisotropic(specular=[0.5, 0.5, 0.5], roughness_x=0.05, roughness_y=0.3, rotation=0.5, f0=0.3)
     """
 
-    axes: ClassVar[tuple[str, str]] = ("roughness_x", "roughness_y")
-    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
-    roughness_x: BoundedParameter = BoundedParameter(
-        start=0.1, lower=0.001, upper=1.0, log=True, doc="alpha along the lobe's x axis"
-    )
-    roughness_y: BoundedParameter = BoundedParameter(
-        start=0.3, lower=0.001, upper=1.0, log=True, doc="alpha along the lobe's y axis"
-    )
+    specular: BoundedParameter = GGX.specular
+    roughness_x: BoundedParameter = width("x", 0.1)
+    roughness_y: BoundedParameter = width("y", 0.3)
     rotation: BoundedParameter = rotation_of_the_grain()
-    f0: BoundedParameter = BoundedParameter(
-        start=0.3, lower=0.02, upper=1.0, affine=True, doc="reflectance at normal incidence"
-    )
+    f0: BoundedParameter = GGX.f0
     function = staticmethod(ggx_anisotropic)
 
     @classmethod

@@ -117,20 +117,9 @@ class GLTF(LayeredMaterial):
 
     @classmethod
     def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
-        """Coat; sheen; the two of diffuse and the two of specular reflection, each by 1 - E and by E."""
-        roughness, clearcoat, coat_roughness, sheen_roughness = scalars
-        viewer, fifth = lower_cosine(pairs), schlick_weight(pairs)
-        blend = clearcoat * schlick(viewer.new_tensor(0.04), viewer)
-        below, alpha = 1 - blend, sheen_roughness**2
-        sheen, slope = Charlie.value_and_jacobian(pairs, number(alpha))
-        scattered = _scattered(pairs, alpha)
-        main = facets(pairs, roughness**2, ggx_visibility_and_log_derivative)
-        coat = facets(pairs, coat_roughness**2, ggx_visibility_and_log_derivative)
-        lambert = torch.full_like(fifth, 1 / math.pi)
-        base = [lambert, lambert * (1 - fifth), main * (1 - fifth), main * fifth]
-        left, taken = below * (1 - scattered), below * scattered
-        over = [blend * coat, below * chain(alpha, sheen, lambda: slope)]
-        return [*over, *(left * one for one in base), *(taken * one for one in base)]
+        """Those of `layers_over` GGX's facets."""
+        roughness, *rest = scalars
+        return layers_over(pairs, facets(pairs, roughness**2, ggx_visibility_and_log_derivative), *rest)
 
     @classmethod
     def coefficients(cls, **parameters: Tensor) -> Tensor:
@@ -147,6 +136,29 @@ class GLTF(LayeredMaterial):
         ]
         left = 1 - sheen.amax(-1, keepdim=True)
         return columns(torch.ones_like(color), sheen, *base, *(left * one for one in base))
+
+
+def layers_over(pairs: Pairs, main: Any, clearcoat: Any, clearcoat_roughness: Any, sheen_roughness: Any) -> list[Any]:
+    """Coat; sheen; the two of diffuse and the two of specular reflection, each by 1 - E and by E.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        main: D G / (4 cos_i cos_o) of the base.
+        clearcoat: as of `gltf`.
+        clearcoat_roughness: as of `gltf`.
+        sheen_roughness: as of `gltf`.
+    """
+    viewer, fifth = lower_cosine(pairs), schlick_weight(pairs)
+    blend = clearcoat * schlick(viewer.new_tensor(0.04), viewer)
+    below, alpha = 1 - blend, sheen_roughness**2
+    sheen, slope = Charlie.value_and_jacobian(pairs, number(alpha))
+    scattered = _scattered(pairs, alpha)
+    coat = facets(pairs, clearcoat_roughness**2, ggx_visibility_and_log_derivative)
+    lambert = torch.full_like(fifth, 1 / math.pi)
+    base = [lambert, lambert * (1 - fifth), main * (1 - fifth), main * fifth]
+    left, taken = below * (1 - scattered), below * scattered
+    over = [blend * coat, below * chain(alpha, sheen, lambda: slope)]
+    return [*over, *(left * one for one in base), *(taken * one for one in base)]
 
 
 def _scattered(pairs: Pairs, alpha: Value) -> Value:

@@ -139,25 +139,10 @@ class OpenPBR(LayeredMaterial):
 
     @classmethod
     def layers(cls, pairs: Pairs, *scalars: Any) -> list[Any]:
-        """Fuzz; coat; a dielectric's specular reflection; EON's two terms; the three of F82."""
-        rough, weight, roughness, ior, coat, coat_roughness, coat_ior, fuzz_weight, fuzz_roughness = scalars
-        viewer, smith = lower_cosine(pairs), ggx_visibility_and_log_derivative
-        taken = fuzz_albedo(viewer, fuzz_roughness)
-        below_fuzz, coat_alpha = 1 - fuzz_weight * taken, coat_roughness**2
-        below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior)))
-        alpha = below_coat(roughness, coat, coat_roughness)
-        eta = eta_below_coat(weight, ior, coat, coat_ior)
-        main = below * facets(pairs, alpha, smith)
-        diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta)))
-        return [
-            fuzz_weight * fuzz(pairs, fuzz_roughness),
-            below_fuzz * (coat * (facets(pairs, coat_alpha, smith) * fresnel_of(pairs, coat_ior))),
-            main * fresnel_of(pairs, eta),
-            *(diffuse * term for term in _body(pairs, rough)),
-            main,
-            main * schlick_weight(pairs),
-            main * f82_weight(pairs),
-        ]
+        """Those of `layers_over` GGX's facets, of the roughness that is seen below the coat."""
+        rough, weight, roughness, *rest = scalars
+        alpha = below_coat(roughness, rest[1], rest[2])
+        return layers_over(pairs, facets(pairs, alpha, ggx_visibility_and_log_derivative), alpha, rough, weight, *rest)
 
     @classmethod
     def coefficients(cls, **parameters: Tensor) -> Tensor:
@@ -173,6 +158,52 @@ class OpenPBR(LayeredMaterial):
             *(plastic * one for one in body.unbind(-1)),
             *(metal * one for one in f82_colours(color, parameters["specular_color"])),
         )
+
+
+def layers_over(
+    pairs: Pairs,
+    glossy: Any,
+    alpha: Any,
+    rough: Any,
+    weight: Any,
+    ior: Any,
+    coat: Any,
+    coat_roughness: Any,
+    coat_ior: Any,
+    fuzz_weight: Any,
+    fuzz_roughness: Any,
+) -> list[Any]:
+    """Fuzz; coat; a dielectric's specular reflection; EON's two terms; the three of F82.
+
+    Args:
+        pairs: where values are wanted, `(..., N)`.
+        glossy: D G / (4 cos_i cos_o) of the base.
+        alpha: its width, below the coat.
+        rough: `base_diffuse_roughness` of `openpbr`; those that follow are the others that `OpenPBR.terms` takes.
+        weight: as of `openpbr`.
+        ior: as of `openpbr`.
+        coat: as of `openpbr`.
+        coat_roughness: as of `openpbr`.
+        coat_ior: as of `openpbr`.
+        fuzz_weight: as of `openpbr`.
+        fuzz_roughness: as of `openpbr`.
+    """
+    viewer, smith = lower_cosine(pairs), ggx_visibility_and_log_derivative
+    taken = fuzz_albedo(viewer, fuzz_roughness)
+    below_fuzz, coat_alpha = 1 - fuzz_weight * taken, coat_roughness**2
+    below = below_fuzz * (1 - coat * ggx_albedo(viewer, coat_alpha, _f0(coat_ior)))
+    eta = eta_below_coat(weight, ior, coat, coat_ior)
+    main = below * glossy
+    diffuse = below * (1 - ggx_albedo(viewer, alpha, _f0(eta)))
+    return [
+        fuzz_weight * fuzz(pairs, fuzz_roughness),
+        below_fuzz * (coat * (facets(pairs, coat_alpha, smith) * fresnel_of(pairs, coat_ior))),
+        main * fresnel_of(pairs, eta),
+        *(diffuse * term for term in _body(pairs, rough)),
+        main,
+        main * schlick_weight(pairs),
+        main * f82_weight(pairs),
+    ]
 
 
 def _f0(ior: Value) -> Value:

@@ -1,16 +1,15 @@
 """Mitsuba's rough conductor with a grain."""
 
-from typing import ClassVar
-
 from torch import Tensor
 
-from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain
+from torchbrdf.lobes._anisotropic import AnisotropicLobe, rotation_of_the_grain, width
 from torchbrdf.lobes._anisotropic_ggx import Part, distribution, facets, separable_visibility
 from torchbrdf.lobes._microfacet import apply_albedo
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
 from torchbrdf.lobes.fresnel import conductor
-from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.roughconductor import RoughConductor
 from torchbrdf.lobes.separable import tangents
 from torchbrdf.pairs import Pairs
 
@@ -75,21 +74,12 @@ class RoughConductorAnisotropic(AnisotropicLobe):
         tensor([2.], requires_grad=True)
     """
 
-    axes: ClassVar[tuple[str, str]] = ("roughness_x", "roughness_y")
-    specular: BoundedParameter = albedo(start=0.5, doc="colour that multiplies the reflectance, per channel")
-    roughness_x: BoundedParameter = BoundedParameter(
-        start=0.1, lower=0.001, upper=1.0, log=True, doc="alpha along the lobe's x axis"
-    )
-    roughness_y: BoundedParameter = BoundedParameter(
-        start=0.3, lower=0.001, upper=1.0, log=True, doc="alpha along the lobe's y axis"
-    )
+    specular: BoundedParameter = RoughConductor.specular
+    roughness_x: BoundedParameter = width("x", 0.1)
+    roughness_y: BoundedParameter = width("y", 0.3)
     rotation: BoundedParameter = rotation_of_the_grain()
-    eta: BoundedParameter = BoundedParameter(
-        start=1.0, lower=0.02, upper=10.0, log=True, doc="index of refraction, real part"
-    )
-    k: BoundedParameter = BoundedParameter(
-        start=2.0, lower=0.02, upper=20.0, log=True, doc="index of refraction, imaginary part"
-    )
+    eta: BoundedParameter = RoughConductor.eta
+    k: BoundedParameter = RoughConductor.k
     function = staticmethod(roughconductor_anisotropic)
 
     @classmethod

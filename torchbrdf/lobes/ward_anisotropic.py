@@ -1,16 +1,16 @@
 """Ward's lobe of a surface with a grain."""
 
 import math
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchbrdf.lobes._anisotropic import AnisotropicLobe, half_slopes, rotation_of_the_grain
+from torchbrdf.lobes._anisotropic import AnisotropicLobe, half_slopes, rotation_of_the_grain, width
 from torchbrdf.lobes._microfacet import apply_albedo, clamp_cosine, clamped_exp
 from torchbrdf.lobes.base import LOBES
 from torchbrdf.lobes.evaluation import half_in_float32
-from torchbrdf.lobes.parameter import BoundedParameter, albedo
+from torchbrdf.lobes.parameter import BoundedParameter
+from torchbrdf.lobes.ward import Ward
 from torchbrdf.pairs import Pairs
 
 
@@ -80,14 +80,9 @@ class WardAnisotropic(AnisotropicLobe):
         WardAnisotropic(specular=[0.5, 0.5, 0.5], roughness_x=0.05, roughness_y=0.3, rotation=0)
     """
 
-    axes: ClassVar[tuple[str, str]] = ("roughness_x", "roughness_y")
-    specular: BoundedParameter = albedo(start=0.5, doc="specular albedo, per channel")
-    roughness_x: BoundedParameter = BoundedParameter(
-        start=0.05, lower=0.001, upper=0.5, log=True, doc="alpha along the lobe's x axis"
-    )
-    roughness_y: BoundedParameter = BoundedParameter(
-        start=0.15, lower=0.001, upper=0.5, log=True, doc="alpha along the lobe's y axis"
-    )
+    specular: BoundedParameter = Ward.specular
+    roughness_x: BoundedParameter = width("x", 0.05, upper=0.5)
+    roughness_y: BoundedParameter = width("y", 0.15, upper=0.5)
     rotation: BoundedParameter = rotation_of_the_grain()
     function = staticmethod(ward_anisotropic)
 

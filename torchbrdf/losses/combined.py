@@ -88,7 +88,9 @@ class CombinedLoss(Loss):
             full = weight.expand(-1, len(one.pairs), -1)
             weight = torch.cat([full, torch.ones_like(full[:, :1]).expand(-1, len(other.pairs), -1)], 1)
         target = torch.cat([one.target, other.target.to(one.target)], 1)
-        return Problem(Pairs.joined([one.pairs, other.pairs.to(one.pairs.device, one.pairs.dtype)]), target, weight)
+        parts = [one.pairs, other.pairs.to(one.pairs.device, one.pairs.dtype)]
+        oriented = all(part.is_oriented for part in parts)
+        return Problem(Pairs.joined(parts, oriented=oriented), target, weight)
 
     def select(self, problem: Problem, samples: Tensor) -> Problem:
         """Some of the measured pairs, and all of the scene's."""

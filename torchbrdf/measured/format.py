@@ -15,7 +15,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from torchbrdf.errors import DataError
 from torchbrdf.kinds import FORMATS as _FORMATS
-from torchbrdf.measured.scattered import Angles, Near, Places, Surface, tree_of
+from torchbrdf.measured.scattered import Angles, Near, Places, Surface, nearest, tree_of
 from torchbrdf.pairs import Pairs
 from torchbrdf.registry import Registry
 
@@ -225,8 +225,8 @@ class BrdfFormat(ABC):
         if valid.all():
             return 0
         own = row if pairs.shape[0] > 1 else 0
-        _, nearest = tree.query(Angles.of(pairs, own, self.has_grain(material)).turned())
-        return int((pairs.above_horizon[own].cpu().numpy() & ~valid[nearest]).sum())
+        _, sample = nearest(tree, Angles.of(pairs, own, self.has_grain(material)).turned())
+        return int((pairs.above_horizon[own].cpu().numpy() & ~valid[sample]).sum())
 
     def distance_at(self, pairs: Pairs, materials: list[int]) -> Tensor:
         """How far pairs are from the nearest valid sample, `(m, N)`, degrees; 0 of what stands in for a measurement.
@@ -243,7 +243,7 @@ class BrdfFormat(ABC):
             if not valid.all():
                 tree = tree_of(tree.data[valid])
             asked = Angles.of(pairs, row if pairs.shape[0] > 1 else 0, self.has_grain(material)).turned()
-            found[row] = torch.from_numpy(tree.query(asked)[0]).to(found)
+            found[row] = torch.from_numpy(nearest(tree, asked)[0]).to(found)
         return found
 
     def reading(self, material: int) -> dict[str, object]:

@@ -33,19 +33,21 @@ _HALF = 2.0
 # Of GGX lobes, alpha; cosines below _LEAST count as it. So many samples are enough to find their heights.
 _WIDTHS, _LEAST, _FITTED = np.geomspace(0.02, 0.7, 9), 0.02, 20_000
 # With a grain: along and across it; fewer, as they come in pairs.
-_TWO, _FITTED_GRAIN = [(a, b) for a in _WIDTHS[::2] for b in _WIDTHS[::2]], 5_000
+_TWO, _FITTED_GRAIN = np.array([(a, b) for a in _WIDTHS[::2] for b in _WIDTHS[::2]]), 5_000
 # Slopes of half vectors up to which lobes show where the grain lies.
 _STEEP = 1.0
 # Samples nearer than so much, in the coordinates, are repetitions, and their mean counts.
 _SAME = 1e-4
 _TINY = 1e-9
+# Points that a tree does not divide further.
+_LEAF = 24
 
 
 def tree_of(points: np.ndarray) -> "KDTree":
     """What finds the nearest of points `(N, d)`."""
     from scipy.spatial import KDTree  # late, as it takes long to import, and tables have no need of it
 
-    return KDTree(points)
+    return KDTree(points, leafsize=_LEAF)
 
 
 class Angles(NamedTuple):
@@ -75,6 +77,11 @@ class Angles(NamedTuple):
         grain = _azimuths(*(part[0].double().cpu().numpy() for part in (own.wi, own.wo))) if has_grain else None
         return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines, grain)
 
+    def select(self, index: np.ndarray) -> "Angles":
+        """Of some of the pairs, in another order."""
+        grain = None if self.grain is None else self.grain[index]
+        return Angles(self.theta_h[index], self.theta_d[index], self.phi_d[index], self.cosines[index], grain)
+
     def _arm(self) -> np.ndarray:
         """How far directions turn as phi_d does: about the half vector or about the normal, which is less."""
         half, difference = np.sin(self.theta_h), np.sin(self.theta_d)
@@ -88,30 +95,33 @@ class Angles(NamedTuple):
         around = self._arm() * np.cos(2 * self.phi_d) / 2
         return np.stack([_HALF * np.sqrt(self.theta_h), self.theta_d, around], -1)
 
-    def lobes(self, turn: float | None = None) -> np.ndarray:
+    def lobes(self, turn: float | None = None, widths: np.ndarray | slice = slice(None)) -> np.ndarray:
         """A constant, and GGX lobes of given widths without and with Schlick's rise of Fresnel's, `(n, L)`, in 1/sr.
 
-        With a turn, the azimuth of a grain in radians, they have widths along and across it.
+        With a turn, the azimuth of a grain in radians, they have widths along and across it. `widths` are those that
+        are wanted, by their places.
 
         Source: B. Walter et al., Microfacet Models for Refraction through Rough Surfaces, 2007,
         doi:10.2312/EGWR/EGSR07/195-206; the shadowing is E. Hammon's approximation, PBR Diffuse Lighting for GGX+Smith
         Microsurfaces, 2017.
         """
         cos_h = np.maximum(np.cos(self.theta_h), _LEAST)[:, None]
+        cos4 = np.square(cos_h**2)  # powers other than squares take long
         tan2 = 1 / cos_h**2 - 1
         if turn is None or self.grain is None:
-            widths = _WIDTHS
-            distribution = widths**2 / (math.pi * cos_h**4 * (widths**2 + tan2) ** 2)
+            alpha = _WIDTHS[widths]
+            distribution = alpha**2 / (math.pi * cos4 * (alpha**2 + tan2) ** 2)
         else:
-            along, across = np.array(_TWO).T
-            widths = np.sqrt(along * across)
+            along, across = _TWO[widths].T
+            alpha = np.sqrt(along * across)
             share = (self.grain[:, :1] * math.cos(turn) + self.grain[:, 1:2] * math.sin(turn)) ** 2
             slope = tan2 * (share / along**2 + (1 - share) / across**2)
-            distribution = 1 / (math.pi * widths**2 * cos_h**4 * (1 + slope) ** 2)
+            distribution = 1 / (math.pi * alpha**2 * cos4 * (1 + slope) ** 2)
         both = 2 * (cos_h * np.cos(self.theta_d)[:, None])  # cos_i + cos_o
         product = self.cosines[:, None]
-        visible = distribution / (2 * ((1 - widths) * 2 * product + widths * np.maximum(both, _LEAST)))
-        rise = (1 - np.cos(self.theta_d)[:, None]) ** 5
+        visible = distribution / (2 * ((1 - alpha) * 2 * product + alpha * np.maximum(both, _LEAST)))
+        low = 1 - np.cos(self.theta_d)[:, None]
+        rise = np.square(low**2) * low
         return np.concatenate([np.ones_like(cos_h), visible, visible * rise], -1)
 
     def turned(self) -> np.ndarray:
@@ -138,16 +148,34 @@ def _with_azimuths(half: np.ndarray, difference: np.ndarray, grain: np.ndarray) 
     return np.concatenate([half[:, None] * grain[:, :2], (difference * (math.sqrt(3) / 2))[:, None], twice], -1)
 
 
-class Near(NamedTuple):
-    """What values are made of at n pairs: places with their weights, `(n, k)`, angles, and lobes, `(n, L)`.
+def _neighbours_together(places: np.ndarray) -> np.ndarray:
+    """An order `(n,)` of places in which neighbours are near each other: what trees are asked so, they find sooner."""
+    least = places.min(0, initial=math.inf)
+    extent = np.maximum(places.max(0, initial=-math.inf) - least, _TINY)
+    count = 2 ** (16 // places.shape[1])  # of cells along each coordinate: NumPy sorts numbers of 16 bits fastest
+    cells = np.minimum((places - least) * (count / extent), count - 1).astype(np.int64)
+    key = np.ravel_multi_index(tuple(cells.T), (count,) * places.shape[1])
+    return np.argsort(key.astype(np.uint16), kind="stable")
 
-    Lobes are None where each material has its own, by its grain.
+
+def nearest(tree: "KDTree", places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the nearest point of a tree is from each place, and which it is, `(n,)` each."""
+    order = _neighbours_together(places)
+    distance, index = np.empty(len(places)), np.empty(len(places), np.int64)
+    distance[order], index[order] = tree.query(places[order], workers=torch.get_num_threads())
+    return distance, index
+
+
+class Near(NamedTuple):
+    """What values are made of at n pairs: places with their weights, `(n, k)`, and angles.
+
+    They stand as neighbours do: row k is of pair `order[k]`.
     """
 
+    order: np.ndarray
     places: Tensor
     weight: Tensor
     angles: Angles
-    lobes: np.ndarray | None
 
 
 class Places:
@@ -180,14 +208,18 @@ class Places:
     def near(self, angles: Angles, neighbours: int = NEIGHBOURS) -> Near:
         """The places about some pairs."""
         count = min(neighbours, len(self.count))
-        distance, index = self._tree.query(angles.places(), count, workers=torch.get_num_threads())
+        asked = angles.places()
+        order = _neighbours_together(asked)
+        asked, angles = asked[order], angles.select(order)
+        distance, index = self._tree.query(asked, count, workers=torch.get_num_threads())
         distance, index = distance.reshape(-1, count), index.reshape(-1, count)
         distance = np.maximum(distance, _TINY)
         reach = distance[:, -1:] * 1.05
-        weight = np.square(1 / distance - 1 / reach)
+        weight = np.reciprocal(distance)
+        weight -= 1 / reach
+        weight *= weight
         weight /= weight.sum(1, keepdims=True)
-        lobes = None if self.has_grain else angles.lobes()
-        return Near(torch.from_numpy(index), torch.from_numpy(weight), angles, lobes)
+        return Near(order, torch.from_numpy(index), torch.from_numpy(weight), angles)
 
 
 class Surface:
@@ -207,8 +239,9 @@ class Surface:
         self._turn = _direction(places.angles, mean.mean(-1))
         lobes = places.angles.lobes(self._turn)
         some = slice(None, None, max(1, len(mean) // (_FITTED if self._turn is None else _FITTED_GRAIN)))
-        self._heights = _heights(lobes[some], mean[some], self.scale)
-        off = self.compressed(mean) - self.compressed(lobes @ self._heights)
+        heights = _heights(lobes[some], mean[some], self.scale)
+        off = self.compressed(mean) - self.compressed(lobes @ heights)
+        self._widths, self._heights = _used(heights)
         self._knots, self._curve = _curve(np.sqrt(places.angles.theta_h), off)
         self.rest = off - self._along(places.angles.theta_h)
         self._rest = torch.from_numpy(self.rest)
@@ -224,12 +257,14 @@ class Surface:
 
     def at(self, near: Near) -> np.ndarray:
         """Values at pairs whose near places are known, `(n, C)`, in 1/sr; of one place those of its samples."""
+        found = np.empty((len(near.order), self.mean.shape[1]))
         if near.places.shape[1] == 1:
-            return self.mean[near.places[:, 0].numpy()]
+            found[near.order] = self.mean[near.places[:, 0].numpy()]
+            return found
         rest = functional.embedding_bag(near.places, self._rest, per_sample_weights=near.weight, mode="sum").numpy()
-        lobes = near.angles.lobes(self._turn) if near.lobes is None else near.lobes
+        lobes = near.angles.lobes(self._turn, self._widths)
         smooth = self.compressed(lobes @ self._heights) + self._along(near.angles.theta_h)
-        found: np.ndarray = 2 * self.scale * np.sinh(smooth + rest)
+        found[near.order] = 2 * self.scale * np.sinh(smooth + rest)
         return found
 
 
@@ -243,6 +278,13 @@ def _heights(lobes: np.ndarray, values: np.ndarray, scale: float) -> np.ndarray:
     rise = _nonnegative(lobes, values.mean(1), scale)[white]
     own = [_nonnegative(lobes[:, : white.start], one - lobes[:, white] @ rise, scale, one) for one in values.T]
     return np.stack([np.concatenate([one, rise]) for one in own], -1)
+
+
+def _used(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The places of widths whose lobes are not flat, few of all, and the heights of the constant and of these lobes."""
+    both = heights[1:].reshape(2, -1, heights.shape[1])
+    widths = np.flatnonzero(both.sum((0, 2)))  # none is below 0
+    return widths, np.concatenate([heights[:1], *both[:, widths]])
 
 
 def _direction(angles: Angles, values: np.ndarray) -> float | None:

@@ -27,7 +27,7 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
 
     Args:
         brdf: A lobe or a sum of lobes, not batched; or one measured material.
-        pairs: Where, `(1, N)`, in float64 on the CPU.
+        pairs: Where, `(1, N)`, in float64 on the CPU; of lobes with a grain they have to know the tangent.
 
     Returns:
         Values in 1/sr, `(N, 3)`, float64; 0 below the horizon and where they are not finite.
@@ -36,7 +36,7 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
         UsageError: It is neither, or several materials.
         DataError: Its values are bands, and not linear RGB.
     """
-    check_single(brdf)
+    check_single(brdf, pairs.is_oriented)
     check_rgb(brdf, "a table")
     found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
     own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
@@ -64,16 +64,16 @@ def check_rgb(brdf: Brdf, who: str) -> None:
         raise DataError(f"{who}: expected linear RGB, found {found}; give its FitRecord, or its fits.json")
 
 
-def check_single(brdf: Brdf) -> None:
-    """Refuse what is not one material."""
-    if isinstance(brdf, Lobe) and brdf.is_anisotropic:
+def check_single(brdf: Brdf, has_room: bool = False) -> None:
+    """Refuse what is not one material, and a lobe with a grain unless a table has room for it."""
+    if isinstance(brdf, Lobe) and brdf.is_anisotropic and not has_room:
         raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
     if isinstance(brdf, Measured):
         count = len(brdf)
     elif isinstance(brdf, Lobe):
         up = torch.ones(1, 1, dtype=torch.float64, device="cpu")
         own = next(brdf.parameters(), up)
-        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up).to(own.device)))
+        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up, 0 * up).to(own.device)))
     else:
         raise UsageError(f"a table: expected a lobe or a Measured, found {shown(brdf)}")
     if count != 1:

@@ -35,7 +35,8 @@ class RenderedLoss(ImageLoss):
     the measured values there as target; `max_theta` and `samples` do not matter to it.
 
     Args:
-        scene: what is drawn; or several scenes side by side, for differences that are means over pixels.
+        scene: what is drawn; or several scenes side by side, for differences that are means over pixels. For lobes with
+            a grain it has to be oriented.
         difference: a registered image difference, or its name; the error is what it says (of psnr the root of the mean
             square).
         tone: the tone map; None: for each material one that is measured on its own reference.
@@ -132,7 +133,8 @@ class RenderedLoss(ImageLoss):
             raise UsageError(f"{self.registered_name}: a picture has no subsets of pairs")
         measured.check_rgb(self.registered_name)
         pairs = self.pairs.to(measured.device, measured.dtype)
-        return Problem(pairs, measured.reciprocal_at(pairs).to(measured.device, measured.dtype))
+        values = measured.at(pairs) if pairs.is_oriented else measured.reciprocal_at(pairs)
+        return Problem(pairs, values.to(measured.device, measured.dtype))
 
     def _on(self, like: Tensor) -> Transport:
         if self.transport.index.device != like.device:

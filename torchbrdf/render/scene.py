@@ -20,6 +20,7 @@ from torchbrdf.render.raster.pixels import rasterize_pixels
 from torchbrdf.render.transport.blocks import Block
 from torchbrdf.render.transport.cache import digest, load_or_build
 from torchbrdf.render.transport.compact import CompactScene
+from torchbrdf.render.transport.oriented import every_pair
 from torchbrdf.render.transport.quadrature import (
     CHUNK,
     HalfVectorQuadrature,
@@ -57,6 +58,8 @@ class Scene:
         backend: What finds the triangle of each pixel: "software", "pyrender", or "auto", the faster one here.
         resolution: Bins of theta_h, theta_d and phi_d of the compact pairs, 4 to 1024 each.
         cache: A folder where the transport is kept.
+        oriented: Pairs are every pixel's own, with directions in the frame of the mesh's tangents, as lobes with a
+            grain need them: many more than the compact ones, so that scenes for fits have to be small.
 
     Raises:
         UsageError: A number is out of its range, or the backend does not work here.
@@ -85,6 +88,7 @@ class Scene:
         backend: str = "software",
         resolution: tuple[int, int, int] = (90, 36, 27),
         cache: Path | str | None = None,
+        oriented: bool = False,
     ) -> None:
         if size < 1 or nodes < 8:
             raise UsageError(f"Scene: expected size >= 1 and nodes >= 8, found size {size}, nodes {nodes}")
@@ -96,7 +100,8 @@ class Scene:
         self.size, self.nodes, self.light_samples = size, nodes, light_samples
         self.punctual_lights = tuple(punctual_lights)
         self.shadows, self.backend, self.resolution = shadows, backend, resolution
-        self.cache = None if cache is None else Path(cache)
+        self.cache = None if cache is None or oriented else Path(cache)  # the pairs of oriented scenes are soon made
+        self.oriented = oriented
         self._pixels = rasterize_pixels(mesh, self.camera, size, backend)
         occluder = _occluder(mesh) if shadows else None
         self._quadratures: list[Quadrature] = []
@@ -163,6 +168,9 @@ class Scene:
     @undisturbed()
     def _whole(self) -> tuple[Pairs, Transport]:
         index = self._pixels.index
+        if self.oriented:
+            pairs, blocks = every_pair(self._jobs, self._pixels.azimuth, memory.limit() // 2)
+            return pairs, Transport(len(pairs), index, self.size, blocks)
         if len(index) * sum(part.length for part in self._quadratures) * _BYTES_PER_ENTRY > memory.limit() // 2:
             pairs = self.compact.pairs
             return pairs, Transport(len(pairs), index, self.size, self.compact.blocks)
@@ -186,7 +194,7 @@ class Scene:
         return [
             *mesh,
             *light,
-            repr((self.camera, self.punctual_lights, *numbers)),
+            repr((self.camera, self.punctual_lights, *numbers, *(["oriented"] if self.oriented else []))),
             self._pixels.index.numpy(),
             self._pixels.frame.numpy(),
         ]
@@ -205,9 +213,10 @@ class Scene:
     def pairs(self) -> Pairs:
         """The compact pairs, `(1, N)`: those of all pixels, with those that are nearly equal taken for one.
 
-        BRDFs are taken for reciprocal, as MERL's tables are: pairs that only exchange light and viewer are one, too.
+        BRDFs are taken for reciprocal, as MERL's tables are: pairs that only exchange light and viewer are one, too. Of
+        an oriented scene all pairs that light falls on.
         """
-        return self._whole[0] if self.cache else self.compact.pairs
+        return self._whole[0] if self.cache or self.oriented else self.compact.pairs
 
     @property
     def transport(self) -> Transport:
@@ -222,6 +231,7 @@ def small_scene(
     size: int = 24,
     light_samples: int = 1024,
     cache: Path | str | None = None,
+    oriented: bool = False,
 ) -> Scene:
     """A scene whose picture costs a fit no more than the samples of a table, for `CombinedLoss`.
 
@@ -234,6 +244,7 @@ def small_scene(
         size: Pixels of a side.
         light_samples: Directional lights.
         cache: A folder where the transport is kept.
+        oriented: As of `Scene`.
 
     Returns:
         The scene.
@@ -253,6 +264,7 @@ def small_scene(
         light_samples=light_samples,
         resolution=(24, 16, 12),
         cache=cache,
+        oriented=oriented,
     )
 
 

@@ -62,8 +62,11 @@ class SideBySide:
     @cached_property
     @undisturbed()
     def pairs(self) -> Pairs:
-        """The compact pairs of all scenes, `(1, N)`."""
-        return Pairs(**{name: torch.cat([getattr(one.pairs, name) for one in self.scenes], 1) for name in KNOWN})
+        """The compact pairs of all scenes, `(1, N)`; those of oriented ones."""
+        parts = [scene.pairs for scene in self.scenes]
+        if all(part.is_oriented for part in parts):
+            return Pairs.joined(parts, oriented=True)
+        return Pairs(**{name: torch.cat([getattr(one, name) for one in parts], 1) for name in KNOWN})
 
     @cached_property
     @undisturbed()

@@ -53,6 +53,11 @@ class FitObjective(ABC):
         Values are in units of `zero_prediction_error`. materials: `(R,)`, which each is of; None: all, in their order.
         """
 
+    @property
+    def scored(self) -> Problem:
+        """The problem that the loss gives errors of."""
+        return self.problem
+
     @cached_property
     def material_indices(self) -> Tensor:
         """The materials, `(M,)`."""

@@ -24,7 +24,7 @@ _AS_GOOD_AS_0 = 1e-16
 class CombinedObjective(GaussNewtonObjective):
     """`CombinedLoss` of errors: roots are taken of each part, and the parabola of a root lies above it.
 
-    `problem` is the metric's, by which starts are compared.
+    `problem` is the metric's, by which starts are compared; `scored` that of both.
     """
 
     ftol = 1e-6
@@ -34,6 +34,7 @@ class CombinedObjective(GaussNewtonObjective):
     def __init__(self, problem: Problem, loss: CombinedLoss) -> None:
         one, other = loss.parts(problem)
         self._set(METRICS[loss.loss.objective](one, loss.loss), ImageObjective(other, loss.rendered), loss)
+        self._scored = problem
 
     def _set(self, metric: GaussNewtonObjective, image: GaussNewtonObjective, loss: CombinedLoss) -> None:
         super().__init__(metric.problem, loss)
@@ -45,6 +46,11 @@ class CombinedObjective(GaussNewtonObjective):
         image_loss = cast("ImageObjective", image).loss
         made._set(metric, image, CombinedLoss(metric.loss, image_loss, self.loss.factor, self.loss.reduction))
         return made
+
+    @property
+    def scored(self) -> Problem:
+        """The problem of both, as they were given."""
+        return self._scored
 
     @staticmethod
     def applies(loss: Loss) -> bool:

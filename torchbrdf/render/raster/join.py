@@ -22,7 +22,7 @@ Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Joined(NamedTuple):
-    """A mesh's arrays. tangents: where u of texture coordinates grows, 0 where there are none; None if there are none.
+    """A mesh's arrays. tangents: the file's, else where u of texture coordinates grows, 0 where neither is; or None.
 
     They are unit vectors in the surface, as normals are across it.
     """
@@ -58,6 +58,7 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Joined:
         faces, corners, flat = faces[with_area], corners[with_area], flat[with_area]
         across = across[with_area]
     along = along_u(corners, _coordinates(parts)[faces]) if any(one.coordinates is not None for one in parts) else None
+    own = _tangents(parts) if any(one.tangents is not None for one in parts) else None
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3)
     if len(used) < len(vertices):
@@ -92,6 +93,10 @@ def join(path: Path, parts: Sequence[Part], say: Say) -> Joined:
     kept = kept[order]
     faces, normals = np.ascontiguousarray(rank[index][faces]), given[kept]
     tangents = None if along is None or not along.any() else _in_the_surface(along, faces, normals)
+    if own is not None:
+        own = _at_right_angles(np.nan_to_num(own[used][kept]), normals)
+        tangents = own if tangents is None else np.where(own.any(1, keepdims=True), own, tangents)
+        tangents = tangents if tangents.any() else None
     return Joined(vertices[kept], faces, normals, tangents)
 
 
@@ -119,8 +124,17 @@ def _coordinates(parts: Sequence[Part]) -> np.ndarray:
 def _in_the_surface(along: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Vectors of triangles as unit ones of their vertices, at right angles to the normals; 0 where they cancel."""
     sums = [np.bincount(faces.T.ravel(), np.tile(along[:, k], 3), len(normals)) for k in range(3)]
-    total = np.stack(sums, 1)
-    return unit(total - (total * normals).sum(1, keepdims=True) * normals)
+    return _at_right_angles(np.stack(sums, 1), normals)
+
+
+def _at_right_angles(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The parts of vectors that lie in the surface, of length 1; 0 where there are none."""
+    return unit(vectors - (vectors * normals).sum(1, keepdims=True) * normals)
+
+
+def _tangents(parts: Sequence[Part]) -> np.ndarray:
+    """Tangents of all parts, 0 where there are none."""
+    return np.concatenate([np.zeros_like(one.vertices) if one.tangents is None else one.tangents for one in parts])
 
 
 def _concatenated(path: Path, parts: Sequence[Part], say: Say) -> Arrays:

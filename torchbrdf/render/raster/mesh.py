@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from torchbrdf.errors import DataError, ShapeError, one_line
+from torchbrdf.errors import DataError, ShapeError, UsageError, one_line, shown
 from torchbrdf.files import replacing
 from torchbrdf.render.raster.join import join
 from torchbrdf.render.raster.mesh_formats import read_parts
+from torchbrdf.render.raster.mesh_formats.ply import TANGENTS
 
 # Of a normal: shorter level parts have no direction.
 _LEVEL = 1e-9
+# Of a tangent the share that has to lie in the surface.
+_ALONG = 1e-4
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,8 @@ class Mesh:
         triangle refers to, faces without area and parts without faces are dropped; normals that are not of length 1
         are normalised; a closed mesh that is inside out is turned (of an open one that cannot be known, but both
         sides are drawn); and a vertex whose faces cancel takes the normal of one of them. Polygons become triangles.
-        Texture coordinates of OBJ and PLY files give the tangents: they lie where u grows.
+        Texture coordinates of OBJ and PLY files give the tangents, which lie where u grows, unless a PLY file has
+        tangents of its own: tx, ty and tz beside nx, ny and nz.
         Materials, textures, colours and smoothing groups are not read, nor bones. A glTF file whose triangles depend on
         more than its buffers and nodes (extensions, sparse accessors, weighted morph targets) is refused.
 
@@ -84,8 +88,21 @@ class Mesh:
         return cls(found.vertices, found.faces, found.normals, str(path), found.tangents)
 
     def save(self, path: str | Path) -> None:
-        """Write the mesh as a binary PLY with normals, single precision, without tangents."""
-        names = ("x", "y", "z", "nx", "ny", "nz")
+        """Write the mesh as a binary PLY with normals and, if it has some, tangents, in single precision.
+
+        Args:
+            path: Of the file, which ends in .ply. Tangents are its tx, ty and tz, which other programs pass over.
+
+        Raises:
+            UsageError: The name is that of another format; PLY is the only one here that has room for tangents.
+        """
+        if Path(path).suffix.lower() != ".ply":
+            raise UsageError(f"{path}: expected a name that ends in .ply, found {shown(Path(path).suffix)}")
+        names = ["x", "y", "z", "nx", "ny", "nz"]
+        columns = [self.vertices, self.normals]
+        if self.tangents is not None:
+            names += TANGENTS
+            columns.append(self.tangents)
         properties = "".join(f"property float {name}\n" for name in names)
         header = (
             f"ply\nformat binary_little_endian 1.0\nelement vertex {len(self.vertices)}\n{properties}"
@@ -93,9 +110,25 @@ class Mesh:
         )
         faces = np.empty(len(self.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
         faces["count"], faces["corners"] = 3, self.faces
-        vertices = np.hstack([self.vertices, self.normals]).astype("<f4")
+        vertices = np.hstack(columns).astype("<f4")
         with replacing(path) as temporary:
             temporary.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+
+    def unit_tangents(self) -> np.ndarray:
+        """Tangents of length 1, at right angles to normals, `(V, 3)`: the mesh's own, the level ones where none are.
+
+        Example:
+            >>> from torchbrdf.render import sphere
+            >>> sphere(1).unit_tangents()[0]
+            array([ 0.,  0., -1.])
+        """
+        level = level_tangents(self.normals)
+        if self.tangents is None:
+            return level
+        own = self.tangents - (self.tangents * self.normals).sum(1, keepdims=True) * self.normals
+        length = np.linalg.norm(own, axis=1, keepdims=True)
+        none = length <= _ALONG * np.linalg.norm(self.tangents, axis=1, keepdims=True)
+        return np.where(none, level, own / np.where(none, 1, length))
 
     @property
     def bounding_sphere(self) -> tuple[np.ndarray, float]:

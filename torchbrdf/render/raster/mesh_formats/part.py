@@ -23,12 +23,14 @@ class Part:
 
     vertices: `(V, 3)`, float64. faces: indices of corners, `(F, 3)`, int64. normals: `(V, 3)`, float64, as they are in
     the file, NaN for a vertex that has none; None if no vertex has one. coordinates: `(V, 2)`, of textures, alike.
+    tangents: `(V, 3)`, alike; they count before those that follow from coordinates.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
     coordinates: np.ndarray | None = None
+    tangents: np.ndarray | None = None
 
 
 def check_count(path: Path, count: int) -> None:

@@ -22,6 +22,9 @@ _CORNERS = ("vertex_indices", "vertex_index")
 # What texture coordinates are called.
 _COORDINATES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
 
+TANGENTS = ("tx", "ty", "tz")
+"""What the properties of tangents are called, as those of normals are: nx, ny, nz."""
+
 
 @dataclass(frozen=True)
 class _Property:
@@ -64,7 +67,8 @@ def read(path: Path, data: bytes, say: Say) -> list[Part]:
     normals = _stack(path, columns, ("nx", "ny", "nz")) if "nx" in columns else None
     names = next((names for names in _COORDINATES if all(name in columns for name in names)), ())
     coordinates = _stack(path, columns, names) if names else None
-    return [Part(vertices, triangulate(path, vertices, polygons, say), normals, coordinates)]
+    tangents = _stack(path, columns, TANGENTS) if TANGENTS[0] in columns else None
+    return [Part(vertices, triangulate(path, vertices, polygons, say), normals, coordinates, tangents)]
 
 
 def _stack(path: Path, columns: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
