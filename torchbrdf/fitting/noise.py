@@ -1,6 +1,7 @@
 """What error the noise of a measurement alone makes: below it there is nothing to fit."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -8,10 +9,12 @@ import torch
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.losses import Loss
 from torchbrdf.measured import Measured
-from torchbrdf.measured.noise import Noise, noise_of
+from torchbrdf.measured.noise import Noise, noises_of
 
 # Pairs on which the error of the noise is worked out.
 _PAIRS = 20_000
+# Pairs times materials of which it is worked out at once.
+_TOGETHER = 1 << 18
 
 
 @torch.no_grad()
@@ -33,22 +36,23 @@ def noise_records(measured: Measured, loss: Loss, seed: int = 0) -> list[dict[st
         >>> noise_records(load(standins()).batch([6]), RMSLoss())
         [{}]
     """
-    return [_record(measured.batch([k]), loss, seed) for k in range(len(measured))]
+    noises = [None] * len(measured) if loss.needs_rgb else noises_of(measured)
+    size = max(1, _TOGETHER // max(len(measured.pairs), 1))
+    found: list[dict[str, Any]] = [{} for _ in noises]
+    told = [(k, noise) for k, noise in enumerate(noises) if noise is not None]
+    for some in (told[k : k + size] for k in range(0, len(told), size)):
+        errors = _errors(measured.batch([k for k, _ in some]), loss, [noise for _, noise in some], seed)
+        for (k, noise), error in zip(some, errors, strict=True):
+            if math.isfinite(error):
+                found[k] = {"share": noise.share, "by": noise.by, "samples": noise.samples, "error": error}
+    return found
 
 
-def _record(material: Measured, loss: Loss, seed: int) -> dict[str, Any]:
-    noise = None if loss.needs_rgb else noise_of(material)
-    if noise is None:
-        return {}
-    error = _error(material, loss, noise, seed)
-    if not math.isfinite(error):
-        return {}
-    return {"share": noise.share, "by": noise.by, "samples": noise.samples, "error": error}
-
-
-def _error(material: Measured, loss: Loss, noise: Noise, seed: int) -> float:
-    """The error between a measurement and itself with more of its noise."""
-    index = stratified(len(material.pairs), _PAIRS, seed) if loss.supports_subsampling else None
-    problem = loss.problem(material, None if index is None else index.to(material.device))
-    again = problem.target + noise.like(problem.target, seed)
-    return loss.error(again, problem.target, problem.pairs, problem.weight)[0].item()
+def _errors(measured: Measured, loss: Loss, noises: Sequence[Noise], seed: int) -> list[float]:
+    """Of each material the error between its measurement and itself with more of its noise."""
+    index = stratified(len(measured.pairs), _PAIRS, seed) if loss.supports_subsampling else None
+    problem = loss.problem(measured, None if index is None else index.to(measured.device))
+    noise = [one.like(target, seed) for one, target in zip(noises, problem.target, strict=True)]
+    again = problem.target + torch.stack(noise)
+    found: list[float] = loss.error(again, problem.target, problem.pairs, problem.weight).tolist()
+    return found
