@@ -57,7 +57,7 @@ STAGES = """if True:
     groups = load_later([sys.argv[1]])
     spent["listing"] = time.process_time() - began
     batches = Batches(make_model("ward", 1), LearnedLoss(), out=Path(sys.argv[2]))
-    for _ in batches.fits(groups, bad=[]):
+    for _ in batches.fits(groups, executor="threads", bad=[]):
         pass
     middle = time.process_time()
     batches.write_tables()
