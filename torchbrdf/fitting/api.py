@@ -15,6 +15,7 @@ from torch import Tensor
 from torchbrdf import kinds
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.determined import joined_truths, undetermined, working_dtype
 from torchbrdf.fitting.grain import check_grain, without_grain
 from torchbrdf.fitting.intervals import (
     BOOTSTRAP,
@@ -160,7 +161,9 @@ def fit(
         check_bands(map(type, model.components()), bands_in_words(measured.channels, measured.wavelengths))
     model = with_channels(model, measured.channels)
     loss = loss if measured.is_rgb else loss.with_luminance(measured.luminance_shares)
-    measured = measured.within(max_theta).to(dtype=torch.float32 if measured.dtype in HALVES else measured.dtype)
+    measured = measured.within(max_theta)
+    dtype = torch.float32 if measured.dtype in HALVES else measured.dtype  # of what is given back
+    measured = measured.to(dtype=working_dtype(measured, loss))
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
     model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
@@ -189,13 +192,13 @@ def fit(
         progress(sum(len(rows) for rows, _ in found), len(measured))
     done = _with_lost(found, start, reasons)
     status = _statuses(done, reasons, free, max_theta)
-    found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
+    found_values = {name: torch.cat([one.values[name] for one in done]).to(dtype) for name in start}
     intervals_found = joined_intervals([(one.values, one.intervals) for one in done])
     for row in without_grain(model, found_values, intervals_found):
         log.warning("torchbrdf: %s: the direction of the grain is not determined", measured.names[row])
     return FitResult(
         names=measured.names,
-        model=with_parameters(model, found_values),
+        model=with_parameters(model.to(dtype=dtype), found_values),
         loss=loss.registered_name,
         strategy=strategy_name(strategy),
         diffuse=diffuse,
@@ -215,6 +218,7 @@ def fit(
         wavelengths=measured.wavelengths,
         reading=[measured.source.reading(material) for material in measured.materials],
         noise=noise_records(measured, loss, seed),
+        undetermined=joined_truths([(one.values, one.open) for one in done]),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -276,6 +280,7 @@ class _Fitted(NamedTuple):
     subset_error: Tensor
     counts: Tensor
     intervals: dict[str, Intervals]
+    open: ParameterDict
 
 
 @dataclass
@@ -308,7 +313,8 @@ class _FitSome:
         subset_error = errors_seen(fitted, seen, loss, task.objective, free)
         error = subset_error if some is None else errors_seen(fitted, whole, loss, task.full, free)
         intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
-        return _Fitted(values, outcome, error, subset_error, counts, intervals)
+        open_ = undetermined(task.objective, values, free)
+        return _Fitted(values, outcome, error, subset_error, counts, intervals, open_)
 
     def _by_sums(self, part: Lobe, values: ParameterDict, measured: Measured, sums: SufficientStatistics) -> _Fitted:
         """The fits from sufficient statistics: all pairs from the first step on."""
@@ -324,7 +330,8 @@ class _FitSome:
         error, values = objective.errors(fitted), get_parameters(fitted)
         free = task.all_free(self.fit_diffuse)
         intervals = find_intervals(self.intervals, objective, values, free, sums.counts, self.subset.seed)
-        return _Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals)
+        open_ = undetermined(objective, values, free)
+        return _Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals, open_)
 
     def _run(self, task: Task, values: ParameterDict) -> Outcome:
         """What the strategy finds."""
@@ -367,7 +374,7 @@ def _with_lost(
             lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
             values = take_materials(start, rows)
             starts = kept.outcome.starts if kept else 0
-            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {})
+            one = _Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {}, {})
         done.append(one)
     return done
 
