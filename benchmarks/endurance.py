@@ -4,8 +4,8 @@
 
 Each in a process of its own. Fits: of materials of 200 pairs, one at a time, a Ward lobe under the cube root. Renders:
 of Ward and GGX lobes with other parameters each time, 64 x 64 pixels, a new scene for every tenth. Answers: 20
-observers at once, who answer 20 trials each, after which others come. The memory is what is resident: the most within the first
-tenth, and how much more it ever is later.
+observers at once, who answer 20 trials each, after which others come. The memory is what is resident: the most within
+the first tenth, and how much more it ever is later.
 """
 
 import argparse
