@@ -220,6 +220,8 @@ def _irradiance(value: Any, count: int) -> np.ndarray:
 
 def _model(model: Lobe, held: Sequence[str]) -> Lobe:
     """The model in float32 on the CPU, if texels can be fitted by it."""
+    if not isinstance(model, Lobe):
+        raise UsageError(f"model: expected a lobe or a sum of them, as make_model gives, found {shown(model)}")
     for part in model.components():
         if not part.is_separable():
             raise UsageError(f"model: expected lobes that are coefficients times terms, found {type(part).__name__}")

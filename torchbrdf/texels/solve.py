@@ -199,7 +199,7 @@ class _TileFit:
             around = torch.stack([self._around(x[:, k], part) for k in shapes.tolist()], -1)
             far = ((x[:, shapes] - around).abs() > FAR * (upper - lower)[shapes]).any(-1).nonzero()[:, 0]
             x[:, shapes] = around
-            for own in far.split(BATCH):
+            for own in far.split(BATCH) if len(far) else ():
                 rows = self.good[own]
                 here = take_materials(self.values, rows)
                 self._keep(rows, *self._solve(self._objective(rows), here | self._decoded(x[own])))
