@@ -185,6 +185,20 @@ def test_each_file_is_looked_at_once_while_files_are_listed(tmp_path, monkeypatc
     assert len(compared) < 10 * 61  # not each with each
 
 
+def test_what_copying_left_of_a_file_is_said_and_the_rest_is_listed(tmp_path):
+    whole = _write(tmp_path, "a", np.linspace(0, 1, 4), np.ones(4), ".npz")
+    (tmp_path / "b.npz").write_bytes(whole.read_bytes()[:-100])
+    (tmp_path / "c.npz").touch()
+    np.savez(tmp_path / "d.npz", weights=np.ones(3))  # somebody's, and whole: passed over
+    (tmp_path / "e.txt").touch()
+    bad = []
+    (group,) = load_later([tmp_path], bad=bad)
+    assert list(group.names) == ["a"]
+    assert ["b.npz: expected a measured BRDF" in str(bad[0]), "archive that is damaged" in str(bad[0])] == [True] * 2
+    assert "c.npz: the file is empty" in str(bad[1])
+    assert len(bad) == 2
+
+
 def test_links_in_a_folder_are_the_files_that_they_lead_to(tmp_path):
     (tmp_path / "a").mkdir()
     path = _write(tmp_path / "a", "m", np.linspace(0, 1, 4), np.ones(4))

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import zipfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -386,8 +387,17 @@ def _folder(path: Path) -> dict[Path, tuple[Path, str | None]]:
             passed.append(file)
     if not known:
         raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {_count(path, len(inside))}")
-    _say_passed(path, passed)
-    return known
+    like = {file.suffix for file, _ in known.values()}
+    broken = [file for file in passed if file.suffix in like and _is_broken(file)]
+    known |= {where / file.name: (file, None) for file in broken}
+    _say_passed(path, [file for file in passed if file not in broken])
+    return dict(sorted(known.items(), key=lambda item: item[1][0].name))
+
+
+def _is_broken(path: Path) -> bool:
+    """Whether a file of no format is what copying may have left of one: nothing, or a part of an archive."""
+    head = _head(path)
+    return not head or (head.startswith(b"PK") and not zipfile.is_zipfile(path))
 
 
 def _say_passed(folder: Path, passed: Sequence[Path]) -> None:
