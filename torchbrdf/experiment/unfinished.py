@@ -55,8 +55,8 @@ class Unfinished:
                     yield FitRecord.from_json(line, where)
             except DataError as error:
                 bad.append(error)
-            for error in bad:
-                log.warning("torchbrdf: %s; its fits are made again", error)
+            for one in bad:
+                log.warning("torchbrdf: %s; its fits are made again", one)
             if bad:
                 shutil.rmtree(manifest.parent)
 
