@@ -119,3 +119,13 @@ def test_truths_are_those_of_numbers():
     shapes = {name: tuple(value.shape) for name, value in result.undetermined.items()}
     assert shapes == {name: tuple(value.shape) for name, value in get_parameters(result.model).items()}
     assert np.array_equal([len(one.undetermined) for one in result.records()], [0, 0])
+
+
+def test_where_there_is_no_curvature_nothing_is_said():
+    from torchbrdf.render import RenderedLoss, Scene, sphere
+
+    scene = Scene(sphere(2), size=16, nodes=8, light_samples=4)
+    loss = RenderedLoss(scene, "ssim")
+    result = fit(make_model("ward", 1), tiny(1), loss, max_iterations=2)
+    assert result.undetermined == {}
+    assert result.records()[0].undetermined == []

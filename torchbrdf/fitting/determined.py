@@ -58,6 +58,8 @@ def undetermined(objective: FitObjective, values: ParameterDict, free: Parametri
     """
     if not isinstance(objective, GaussNewtonObjective) or is_tabulated(free.model):
         return {}
+    if objective.surrogate() is not objective:  # a picture's, that has gradients only
+        return {}
     x = free.encode(values).to(objective.zero_prediction_error.device)
     rows = torch.arange(len(x), dtype=torch.int64, device=x.device)
     last = objective.loss.smoothing_widths[-1:]
