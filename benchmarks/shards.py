@@ -1,10 +1,10 @@
-"""What many small fits take: by `torchbrdf fit`, side by side in processes and on Dask, and in one process for long.
+"""What many small fits take: by `torchbrdf fit`, side by side in processes and on Dask.
 
-    python benchmarks/shards.py [fit] [dask] [endurance] [--materials 20000] [--pairs 200]
+    python benchmarks/shards.py [fit] [dask] [--materials 20000] [--pairs 200]
 
 fit: so many files of so many pairs, two cores; shares of the time that files are listed, read, fitted and written; the
-parent's memory. dask: the same on four Dask workers against processes, CPU seconds beside. endurance: 2,000 fits in one
-process, and how its memory grows after the first tenth.
+parent's memory. dask: the same on four Dask workers against processes, CPU seconds beside.
+What one process takes that does the same for long: endurance.py.
 """
 
 import argparse
@@ -17,7 +17,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -57,29 +56,13 @@ STAGES = """if True:
     groups = load_later([sys.argv[1]])
     spent["listing"] = time.process_time() - began
     batches = Batches(make_model("ward", 1), LearnedLoss(), out=Path(sys.argv[2]))
-    for _ in batches.fits(groups, bad=[]):
+    for _ in batches.fits(groups, executor="threads", bad=[]):
         pass
     middle = time.process_time()
     batches.write_tables()
     spent["writing"] += time.process_time() - middle
     spent["all"] = time.process_time() - began
     print(json.dumps(spent))
-"""
-ENDURANCE = """if True:
-    import sys, json
-    import psutil, torch
-    torch.set_num_threads(1)
-    from torchbrdf import fit
-    from torchbrdf.lobes import make_model
-    from torchbrdf.losses import make_loss
-    from torchbrdf.measured import load_all
-
-    (measured,) = load_all([sys.argv[1]])
-    loss, count, sizes = make_loss("cube_root"), int(sys.argv[2]), []
-    for k in range(count):
-        fit(make_model("ward", 1), measured.batch([k % len(measured)]).batch(), loss, samples=None, diffuse="fit")
-        sizes.append(psutil.Process().memory_info().rss)
-    print(json.dumps(sizes[:: max(count // 100, 1)] + sizes[-1:]))
 """
 
 
@@ -148,15 +131,6 @@ def dask(folder: Path, work: Path) -> None:
     print(f"speed {here['seconds'] / there['seconds']:.2f} of the processes', by CPU {here['cpu'] / there['cpu']:.2f}")
 
 
-def endurance(folder: Path, count: int) -> None:
-    """How the memory of one process grows."""
-    command = [sys.executable, "-c", ENDURANCE, str(folder), str(count)]
-    sizes = np.array(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
-    first = sizes[: len(sizes) // 10].max()
-    grown = 100 * (sizes[len(sizes) // 10 :].max() / first - 1)
-    print(f"{count} fits in one process: {first / 2**20:.0f} MiB after a tenth, at most {grown:.1f} % more later")
-
-
 def main(work: list[str], materials: int, pairs: int) -> None:
     """Print a line each."""
     with tempfile.TemporaryDirectory() as name:
@@ -167,14 +141,12 @@ def main(work: list[str], materials: int, pairs: int) -> None:
             fits(folder, root, materials)
         if "dask" in work:
             dask(folder, root)
-        if "endurance" in work:
-            endurance(make(root / "few", 50, pairs), 2000)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", nargs="*", choices=[[], "fit", "dask", "endurance"], help="which; by default all")
+    parser.add_argument("work", nargs="*", choices=[[], "fit", "dask"], help="which; by default all")
     parser.add_argument("--materials", type=int, default=20_000)
     parser.add_argument("--pairs", type=int, default=200)
     options = parser.parse_args()
-    main(options.work or ["fit", "dask", "endurance"], options.materials, options.pairs)
+    main(options.work or ["fit", "dask"], options.materials, options.pairs)

@@ -50,7 +50,10 @@ def clean_name(text: str, longest: int = LONGEST_NAME) -> str:
         >>> clean_name("blue/acrylic\n"), clean_name("..")
         ('blue_acrylic', '_')
     """
-    name = "".join(c if _is_seen(c) and c not in "/\\" else " " if c.isspace() else "_" for c in text).strip()
+    if text.isascii() and text.isprintable():
+        name = text.replace("/", "_").replace("\\", "_").strip()
+    else:
+        name = "".join(c if _is_seen(c) and c not in "/\\" else " " if c.isspace() else "_" for c in text).strip()
     if set(name) <= {"."}:
         name = "_"
     while len(name.encode()) > longest:

@@ -1,13 +1,17 @@
 """Reading files that may hold anything: whatever is wrong with one becomes a DataError that names it."""
 
 import hashlib
+import io
 import json
+import math
 import os
 import stat
 import sys
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -236,19 +240,7 @@ def read_npz(path: Path | str, expected: str, layout: Mapping[str, tuple[tuple[i
         DataError: It cannot be read, would unpack to more than `largest()`, is damaged, or lacks an array or has one
             of another shape or kind.
     """
-    import io
-
-    import numpy as np
-
-    data = read_bytes(path, expected)
-    with reading(path, expected):
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            check_unpacked(path, sum(member.file_size for member in archive.infolist()))
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            found = {name: archive[name] for name in archive.files}
-    for name, value in found.items():
-        if not isinstance(value, np.ndarray):
-            raise DataError(f"{path}: expected {expected}, found {name} that is no array")
+    found = npz_arrays(path, read_bytes(path, expected), expected)
     if checksum:
         stored = found.pop(CHECKSUM, None)
         if stored is None or stored.tobytes() != _digest(found):
@@ -256,6 +248,75 @@ def read_npz(path: Path | str, expected: str, layout: Mapping[str, tuple[tuple[i
     for name, (shape, kind) in (layout or {}).items():
         _check_array(path, found, name, shape, kind)
     return found
+
+
+def npz_arrays(path: Path | str, data: bytes, expected: str) -> dict[str, "np.ndarray"]:
+    """The arrays of an `.npz` that was read; without a checksum but those of zip files.
+
+    Args:
+        path: The file, for errors.
+        data: Its bytes.
+        expected: What it should hold.
+
+    Raises:
+        DataError: As `read_npz`.
+    """
+    import numpy as np
+
+    with reading(path, expected), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        check_unpacked(path, sum(member.file_size for member in members))
+        found = {one.filename.removesuffix(".npy"): _array(_member(archive, data, one)) for one in members}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray):
+            raise DataError(f"{path}: expected {expected}, found {name} that is no array")
+    return found
+
+
+def _member(archive: zipfile.ZipFile, data: bytes, member: zipfile.ZipInfo) -> bytes:
+    """The bytes of a member of a zip file; those that are stored as they are without zipfile's streams."""
+    at, name = member.header_offset, member.orig_filename.encode()
+    start = at + 30 + len(name) + int.from_bytes(data[at + 28 : at + 30], "little")  # behind name and extra fields
+    body = data[start : start + member.file_size]
+    if (
+        (member.compress_type, member.flag_bits & ~0x800) == (zipfile.ZIP_STORED, 0)  # 0x800: the name is UTF-8
+        and data[at : at + 4] == b"PK\x03\x04"
+        and data[at + 26 : at + 28] == len(name).to_bytes(2, "little")
+        and data[at + 30 : at + 30 + len(name)] == name
+        and len(body) == member.file_size == member.compress_size
+        and zlib.crc32(body) == member.CRC
+    ):
+        return body
+    return archive.read(member)  # which also has the words for what is wrong
+
+
+def _array(data: bytes) -> Any:
+    """An array of the bytes of an `.npy`, or these, if they are none; as numpy reads it, whose reader is slow.
+
+    Its head is a text of Python, which takes longer to parse than a small array to read, and is the same again in
+    every other file of a kind.
+    """
+    import numpy as np
+
+    if not data.startswith(np.lib.format.MAGIC_PREFIX):
+        return data
+    size = 10 + int.from_bytes(data[8:10], "little")
+    shape, by_columns, dtype = _head(data[:size])
+    if dtype is None or by_columns or dtype.kind not in "biuf" or min(shape, default=0) < 0:
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    return np.frombuffer(data, dtype, math.prod(shape), size).reshape(shape).copy()
+
+
+@lru_cache(64)
+def _head(start: bytes) -> "tuple[tuple[int, ...], bool, np.dtype[Any] | None]":
+    """Shape, order and type of an `.npy` of version 1.0, by its head; no type of another version."""
+    import numpy as np
+
+    file = io.BytesIO(start)
+    if np.lib.format.read_magic(file) != (1, 0):
+        return (), False, None
+    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(file)
+    return shape, by_columns, dtype
 
 
 def _check_array(path: Path | str, found: Mapping[str, "np.ndarray"], name: str, shape: tuple[int | None, ...],

@@ -88,6 +88,10 @@ def without_a_line(path):
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
 
 
+def doubled(path):
+    path.write_text(2 * path.read_text())
+
+
 def of_other_settings(path):
     path.write_text(path.read_text().replace('"settings": "', '"settings": "0', 1))
 
@@ -99,6 +103,7 @@ def changed(path):
 SPOILT = [
     (cut, "expected 3 fits as they were written, found 2: it was cut short"),
     (without_a_line, "expected 3 fits as they were written, found 2: lines are missing"),
+    (doubled, "expected 3 fits as they were written, found 7: there are more"),
     (of_other_settings, "expected fits with the settings .* of manifest.json, found some with '0"),
     (lambda path: path.write_text(""), "expected the head of a part of fits, found b''"),
     (lambda path: shutil.copy(path.with_name("part-00001.jsonl"), path), "expected part 2, found part 1"),

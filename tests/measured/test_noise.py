@@ -10,10 +10,12 @@ from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf import fit
 from torchbrdf.cli import main
+from torchbrdf.fitting.noise import noise_records
 from torchbrdf.fitting.result import fits_csv
 from torchbrdf.lobes import FitRecord, from_parameters, make_model, read_fits
 from torchbrdf.losses import RMSLoss, make_loss
 from torchbrdf.measured import Measured, describe, load, standins
+from torchbrdf.measured import noise as noise_module
 from torchbrdf.measured.angles import direction
 from torchbrdf.measured.noise import noise_of
 from torchbrdf.pairs import Pairs
@@ -107,9 +109,31 @@ def test_reports_say_it(tmp_path, capsys):
 
 
 def test_pictures_have_no_noise_of_samples():
-    from torchbrdf.fitting.noise import noise_records
     from torchbrdf.render import RenderedLoss, Scene, sphere
 
     picture = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=4))
     assert noise_records(noisy(goniometer(), 0.05), picture) == [{}]
     assert noise_records(noisy(goniometer(), 0.05), RMSLoss())[0]["error"] > 0
+
+
+def test_noise_of_many_is_that_of_each_alone(monkeypatch):
+    made, where = [], noise_module._Where
+    monkeypatch.setattr(noise_module, "_Where", lambda *of: made.append(of) or where(*of))
+    shared = noisy(anywhere(300), 0.05)
+    values = torch.cat([shared.values, shared.values * 1.7, noisy(anywhere(300), 0.2).values, shared.values.square()])
+    weight = torch.ones(4, 300, 1)
+    weight[2, ::3] = 0
+    own = Pairs.from_directions(*(part.expand(4, -1, -1).flip(1) for part in (shared.pairs.wi, shared.pairs.wo)))
+    for pairs, count in ((shared.pairs, 3), (own, 4)):  # where all share pairs, the third has other samples
+        many = Measured.from_samples(pairs, values, weight, anisotropic=False)
+        made.clear()
+        found = noise_module.noises_of(many)
+        assert len(made) == count
+        for k, one in enumerate(found):
+            alone = noise_of(many.batch([k]))
+            assert (one.share, one.by, one.samples) == (alone.share, alone.by, alone.samples)
+        records = noise_records(many, RMSLoss())
+        for k, record in enumerate(records):
+            (alone,) = noise_records(many.batch([k]), RMSLoss())
+            assert record == {**alone, "error": pytest.approx(alone["error"], rel=1e-9)}
+            assert record["share"] == found[k].share

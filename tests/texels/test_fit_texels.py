@@ -245,3 +245,16 @@ def test_tiles_cover_a_surface_once():
     for tile in tiling:
         seen[tile.rows, tile.columns] += 1
     assert (seen == 1).all() and len(list(tiling)) == len(tiling) == 15
+
+
+def test_lights_that_come_again_and_again_are_fitted() -> None:
+    # Half angles that many pairs share are laid out in groups, which no texels at all cannot be.
+    lights = np.repeat(dome(6), 18, 0)
+    seen = np.full((len(lights), 4, 4, 3), 0.3, np.float32) * lights[:, None, None, 2:]
+    maps = fit_texels(seen, lights, model=make_model("ward", 1), max_iterations=2)
+    assert np.isfinite(maps["albedo"]).all()
+
+
+def test_a_model_by_name_is_refused() -> None:
+    with pytest.raises(UsageError, match="model: expected a lobe or a sum of them, as make_model gives, found 'ward'"):
+        fit_texels(np.zeros((6, 4, 4, 3), np.float32), dome(6), model="ward")

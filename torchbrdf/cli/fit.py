@@ -225,4 +225,5 @@ def _notes(record: "FitRecord") -> list[str]:
     notes += [f"under {record.chosen}"] if record.chosen else []
     notes += [f"an error as of the noise alone, {short(record.noise['error'])}"] if record.has_reached_noise else []
     notes += [f"{record.ties} other minim{'um' if record.ties == 1 else 'a'} within 1 %"] if record.ties else []
-    return notes + ([f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else [])
+    notes += [f"at a bound: {', '.join(record.at_bounds)}"] if record.at_bounds else []
+    return notes + ([f"not determined: {', '.join(record.undetermined)}"] if record.undetermined else [])

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from torchbrdf import bounds
 from torchbrdf.cli.common import Commands, Options, described, number, say, whole
+from torchbrdf.cli.many import check_device
 from torchbrdf.cli.progress import progress_bar
 from torchbrdf.errors import UsageError, shown
 from torchbrdf.kinds import LOSSES, check_model
@@ -45,6 +46,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--tile", type=whole(8, 512), default=64, help="texels of a side of a tile (default 64)")
     parser.add_argument("--formats", default="exr,png", help="of the maps: exr, png, zarr (default exr,png)")
+    parser.add_argument("--device", help="what torch works on: cpu (default), cuda, cuda:0, ...")
     parser.add_argument("--out", default="texels", help="folder for the maps (default: texels)")
     parser.set_defaults(command=command)
 
@@ -54,6 +56,8 @@ def command(options: Options) -> int:
     check_model(options.model)
     LOSSES.check(options.loss)
     view = _view(options.view)
+    if options.device is not None:
+        check_device(options.device)
 
     from torchbrdf.files import writable
     from torchbrdf.images import read_image
@@ -88,6 +92,7 @@ def command(options: Options) -> int:
             tile=options.tile,
             out=out,
             formats=formats,
+            device=options.device,
             progress=progress_bar("texels"),
         )
     for name, count in maps.counts().items():

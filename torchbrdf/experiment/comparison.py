@@ -17,7 +17,7 @@ from torchbrdf.experiment.matching.judge import Brdf, Figures, Judge, values_of
 from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.losses import LOSSES
 from torchbrdf.measured import FORMATS, Measured, load_all
-from torchbrdf.measured.load import by_format, check_settings, find_files
+from torchbrdf.measured.load import check_settings, grouped
 from torchbrdf.measured.standin import all_round
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import FORMULAS, Share, find_metric, told_apart, uniform_pairs
@@ -156,7 +156,7 @@ def _told(
     paths: Sequence[str | os.PathLike[str]], settings: Mapping[str, str] | None
 ) -> dict[str | os.PathLike[str], dict[str, str]]:
     """Of each path the settings that its files take; a UsageError for one that no file takes."""
-    kinds = {path: list(by_format(find_files(path, []), [])) if settings else [] for path in paths}
+    kinds = {path: list(grouped(path, [])) if settings else [] for path in paths}
     check_settings([name for names in kinds.values() for name in names], settings if any(kinds.values()) else None)
     return {
         path: {

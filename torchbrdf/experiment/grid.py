@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from torchbrdf.errors import DataError, UsageError, shown
+from torchbrdf.experiment.unfinished import FOLDER, Unfinished
 from torchbrdf.fitting import STRATEGIES, cross_score, fit, local_minima, write_fits_csv
 from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.parameters import has_measurable_diffuse
@@ -162,14 +163,21 @@ class FitGrid:
         return picture_name(record.material, record.model, record.loss, *other)
 
     def fit(self) -> None:
-        """Fit everything that `fits.json` does not hold yet, and score it under every loss."""
-        path = self.folder.path / "fits.json"
-        self.records = self._stored(path) if path.exists() else []
+        """Fit everything that the folder does not hold yet, and score it under every loss.
+
+        `fits.json` is written when all is done; until then each unit of the work is a few parts, see `Unfinished`.
+        """
+        path, unfinished = self.folder.path / "fits.json", Unfinished(self.folder.path)
+        self.records = self._checked(path, read_fits(path)) if path.exists() else []
+        there = {_key(record) for record in self.records}
+        kept = [record for record in unfinished.records() if _key(record) not in there]
+        self.records += self._checked(self.folder.path / FOLDER, kept)
         kinds = [(self.strategy, lobes) for lobes in self.lobes]
         kinds += [(self.compare_strategy, self.lobes[0])] if self.compare_strategy else []
         total = len(self.materials) * len(self.models) * len(self.losses) * len(kinds)
         progress = self.folder.progress("fits")
         progress(len(self.records), total)
+        before, order = len(self.records) - len(kept), dict[tuple[str, str, str, int, str], int]()
         models = [make_model(name, lobe_count(name, self.lobes[0])) for name in self.models]
         losses = list(self.losses.values())
         gathered = [Gathered(group.within(self.max_theta), models, losses) for group in self.groups]
@@ -178,16 +186,24 @@ class FitGrid:
                 count = lobe_count(model, lobes)
                 for group, sums in zip(self.groups, gathered, strict=True):
                     if not self._has(strategy, model, count, group):
-                        self.records += self._fit(strategy, model, count, group, sums, progress, total)
-                        self.save()
+                        made = self._fit(strategy, model, count, group, sums, progress, total)
+                        unfinished.add(made)
+                        known = {_key(record) for record in self.records}
+                        self.records += [record for record in made if _key(record) not in known]
+                    for loss in self.losses:
+                        for name in group.names:
+                            order.setdefault((name, model, loss, count, self._strategy_of(loss, strategy)), len(order))
+        if len(self.records) > before:
+            self.records.sort(key=lambda record: order.get(_key(record), -1))  # as if they had been made in one go
+            self.save()
+        unfinished.remove()
 
-    def _stored(self, path: Path) -> list[FitRecord]:
+    def _checked(self, path: Path, records: list[FitRecord]) -> list[FitRecord]:
         """The records of an earlier run in this folder.
 
         Raises:
-            DataError: It holds other fits, or fits without what every fit of a grid has.
+            DataError: They are other fits, or lack what every fit of a grid has.
         """
-        records = read_fits(path)
         wanted = {"materials": self.materials, "models": self.models, "losses": list(self.losses)}
         for k, record in enumerate(records):
             for (plural, names), name in zip(wanted.items(), (record.material, record.model, record.loss), strict=True):

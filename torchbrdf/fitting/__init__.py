@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from torchbrdf.fitting.api import SlowFitWarning, fit
     from torchbrdf.fitting.batches import Batches
     from torchbrdf.fitting.collecting import Collected, collect
+    from torchbrdf.fitting.determined import undetermined
     from torchbrdf.fitting.gathered import Gathered
     from torchbrdf.fitting.global_search import GlobalSearch
     from torchbrdf.fitting.image_driven import ImageDriven
@@ -24,6 +25,7 @@ _HOME = {
     "Batches": "batches",
     "Collected": "collecting",
     "collect": "collecting",
+    "undetermined": "determined",
     "GlobalSearch": "global_search",
     "ImageDriven": "image_driven",
     "FitResult": "result",
@@ -53,6 +55,7 @@ __all__ = [
     "local_minima",
     "score",
     "stratified",
+    "undetermined",
     "write_fits_csv",
 ]
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchbrdf import kinds
 from torchbrdf.errors import ShapeError, UsageError, shown
 from torchbrdf.fitting.batching import parallel_map
+from torchbrdf.fitting.determined import joined_truths, working_dtype
 from torchbrdf.fitting.gathered import Gathered
 from torchbrdf.fitting.grain import check_grain, without_grain
 from torchbrdf.fitting.intervals import (
@@ -151,7 +152,9 @@ def fit(
         check_bands(map(type, model.components()), bands_in_words(measured.channels, measured.wavelengths))
     model = with_channels(model, measured.channels)
     loss = loss if measured.is_rgb else loss.with_luminance(measured.luminance_shares)
-    measured = measured.within(max_theta).to(dtype=torch.float32 if measured.dtype in HALVES else measured.dtype)
+    measured = measured.within(max_theta)
+    dtype = torch.float32 if measured.dtype in HALVES else measured.dtype  # of what is given back
+    measured = measured.to(dtype=working_dtype(measured, loss))
     model = model.batched(len(measured)).to(measured.device, measured.dtype)
     reasons = _check_start(model)
     model(measured.pairs.select(samples=slice(4)))  # says what is wrong with a lobe of one's own
@@ -182,13 +185,13 @@ def fit(
         progress(sum(len(rows) for rows, _ in found), len(measured))
     done = _with_lost(found, start, reasons)
     status = _statuses(done, reasons, free, max_theta)
-    found_values = {name: torch.cat([one.values[name] for one in done]) for name in start}
+    found_values = {name: torch.cat([one.values[name] for one in done]).to(dtype) for name in start}
     intervals_found = joined_intervals([(one.values, one.intervals) for one in done])
     for row in without_grain(model, found_values, intervals_found):
         log.warning("torchbrdf: %s: the direction of the grain is not determined", measured.names[row])
     return FitResult(
         names=measured.names,
-        model=with_parameters(model, found_values),
+        model=with_parameters(model.to(dtype=dtype), found_values),
         loss=loss.registered_name,
         strategy=strategy_name(strategy),
         diffuse=diffuse,
@@ -208,6 +211,7 @@ def fit(
         wavelengths=measured.wavelengths,
         reading=[measured.source.reading(material) for material in measured.materials],
         noise=gathered.noise.of(loss, seed),
+        undetermined=joined_truths([(one.values, one.open) for one in done]),
         history=[joined(list(stages)) for stages in zip(*(found.outcome.stages for found in done), strict=True)],
     )
 
@@ -260,7 +264,7 @@ def _with_lost(
             lost = [Stage(stage.name, nothing.tolist(), [Status.LOST] * count, none.tolist()) for stage in stages]
             values = take_materials(start, rows)
             starts = kept.outcome.starts if kept else 0
-            one = Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {})
+            one = Fitted(values, Outcome(values, lost, starts), nothing, nothing, none, {}, {})
         done.append(one)
     return done
 

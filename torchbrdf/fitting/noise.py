@@ -10,26 +10,26 @@ from torch import Tensor
 from torchbrdf.fitting.sampling import stratified
 from torchbrdf.losses import Loss, Problem
 from torchbrdf.measured import Measured
-from torchbrdf.measured.noise import Noise, noise_of
+from torchbrdf.measured.noise import Noise, noises_of
 
 # Pairs on which the error of the noise is worked out.
 _PAIRS = 20_000
-# Materials whose draws are kept for the next loss.
-_KEPT = 100
+# Pairs times materials of which it is worked out at once, and of how many such groups draws are kept for the next loss.
+_TOGETHER, _KEPT = 1 << 18, 12
 
 
 @torch.no_grad()
 def noise_records(measured: Measured, loss: Loss, seed: int = 0) -> list[dict[str, Any]]:
-    """The noise of each material, and the error of a fit that is off by nothing else.
+    """Of each material the noise of its samples, and the error that it alone makes, as records of fits say it.
 
     Args:
         measured: M materials.
-        loss: By which the error is.
-        seed: Of the draw.
+        loss: the error of what; losses of pictures have none.
+        seed: of the noise that is drawn.
 
     Returns:
-        Of each material `share` of the value, `by` what it was told, by how many `samples`, and the `error`; nothing
-        where noise is not to be told, or the loss is one of pictures.
+        For each material `share` (of the value, 1 sigma), what told it (`by`), how many samples, and `error`: that of
+        the measurement beside itself with as much noise again; or nothing, where samples do not tell their noise.
 
     Example:
         >>> from torchbrdf.losses import RMSLoss
@@ -54,32 +54,41 @@ class NoiseRecords:
     @torch.no_grad()
     def of(self, loss: Loss, seed: int = 0) -> list[dict[str, Any]]:
         """`noise_records` of a loss."""
+        found: list[dict[str, Any]] = [{} for _ in self.measured.names]
         if loss.needs_rgb:
-            return [{} for _ in self.measured.names]
-        return [{} if noise is None else self._record(k, noise, loss, seed) for k, noise in enumerate(self._noises)]
+            return found
+        told = tuple((k, noise) for k, noise in enumerate(self._noises) if noise is not None)
+        size = max(1, _TOGETHER // max(len(self.measured.pairs), 1))
+        for some in (told[k : k + size] for k in range(0, len(told), size)):
+            errors = self._errors(tuple(k for k, _ in some), loss, seed)
+            for (k, noise), error in zip(some, errors, strict=True):
+                if math.isfinite(error):
+                    found[k] = {"share": noise.share, "by": noise.by, "samples": noise.samples, "error": error}
+        return found
 
     @cached_property
     def _noises(self) -> list[Noise | None]:
-        return [noise_of(self.measured.batch([k])) for k in range(len(self.measured))]
+        return noises_of(self.measured)
 
-    def _record(self, material: int, noise: Noise, loss: Loss, seed: int) -> dict[str, Any]:
-        """With the error between a measurement and itself with more of its noise."""
+    def _errors(self, materials: tuple[int, ...], loss: Loss, seed: int) -> list[float]:
+        """Of each material the error between its measurement and itself with more of its noise."""
         if type(loss).problem is Loss.problem and loss.supports_subsampling:
-            problem, again = self._kept_draw(material, seed)
+            problem, again = self._kept_draw(materials, seed)
         else:
-            own = self.measured.batch([material])
+            own = self.measured.batch(list(materials))
             index = stratified(len(own.pairs), _PAIRS, seed) if loss.supports_subsampling else None
             problem = loss.problem(own, None if index is None else index.to(own.device))
-            again = problem.target + noise.like(problem.target, seed)
-        error = loss.error(again, problem.target, problem.pairs, problem.weight)[0].item()
-        if not math.isfinite(error):
-            return {}
-        return {"share": noise.share, "by": noise.by, "samples": noise.samples, "error": error}
+            again = self._noisy(materials, problem.target, seed)
+        found: list[float] = loss.error(again, problem.target, problem.pairs, problem.weight).tolist()
+        return found
 
-    def _draw(self, material: int, seed: int) -> tuple[Problem, Tensor]:
-        """A subset of a measurement, as most losses have it, and its values with more noise."""
-        own, noise = self.measured.batch([material]), self._noises[material]
-        assert noise is not None
+    def _draw(self, materials: tuple[int, ...], seed: int) -> tuple[Problem, Tensor]:
+        """A subset of measurements, as most losses have it, and its values with more noise."""
+        own = self.measured.batch(list(materials))
         index = stratified(len(own.pairs), _PAIRS, seed)
         part = own if index is None else own.batch(samples=index.to(own.device))
-        return Problem(part.pairs, part.values, part.weight), part.values + noise.like(part.values, seed)
+        return Problem(part.pairs, part.values, part.weight), self._noisy(materials, part.values, seed)
+
+    def _noisy(self, materials: tuple[int, ...], values: Tensor, seed: int) -> Tensor:
+        noises = (noise for k in materials if (noise := self._noises[k]) is not None)
+        return values + torch.stack([noise.like(own, seed) for noise, own in zip(noises, values, strict=True)])

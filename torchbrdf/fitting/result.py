@@ -1,6 +1,6 @@
 """What a fit found, and its files."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from torchbrdf.fitting.intervals import LEVEL, Intervals
 from torchbrdf.fitting.strategy import Stage
 from torchbrdf.lobes import FitRecord, Lobe, model_name, parameters, write_fits
 from torchbrdf.lobes.in_bands import channels_of
-from torchbrdf.lobes.parameter_dict import with_parameters
+from torchbrdf.lobes.parameter_dict import ParameterDict, component_names, with_parameters
 from torchbrdf.solvers import Status
 
 
@@ -42,6 +42,7 @@ class FitResult:
         wavelengths: Of the bands that were fitted, nm; None of linear RGB, and where nobody knows them.
         reading: Of each material, how its file was read.
         noise: Of each material's samples, and the error that it alone makes.
+        undetermined: Of each number of the fitted parameters, whether the error leaves it open; see `undetermined`.
         history: The stages.
 
     Example:
@@ -76,6 +77,7 @@ class FitResult:
     wavelengths: tuple[float, ...] | None = None
     reading: list[dict[str, Any]] = field(default_factory=list)
     noise: list[dict[str, Any]] = field(default_factory=list)
+    undetermined: ParameterDict = field(default_factory=dict)
     history: list[Stage] = field(default_factory=list)
 
     def records(self) -> list[FitRecord]:
@@ -100,6 +102,7 @@ class FitResult:
                 starts=self.starts,
                 ties=self.ties[k],
                 at_bounds=at_bounds(self.model, k, self.diffuse == "fit"),
+                undetermined=self._open(k),
                 seconds=self.seconds / len(self.names),
                 max_theta=self.max_theta,
                 samples=self.samples,
@@ -116,6 +119,12 @@ class FitResult:
             )
             for k, material in enumerate(self.names)
         ]
+
+    def _open(self, material: int) -> list[str]:
+        """One material's parameters that are not determined, by their labels, such as `roughness[1]`."""
+        names = component_names(self.model)
+        found = {name for name, truths in self.undetermined.items() if truths[material].any()}
+        return list(dict.fromkeys(label for k, name, label in _labels(self.model) if names[k][name] in found))
 
     def save(self, path: Path | str) -> None:
         """Write `fits.json`, of which `torchbrdf.read_fits` gives the records, and `torchbrdf.model_of` their model."""
@@ -147,23 +156,30 @@ def _with_null(value: Any) -> Any:
 
 def at_bounds(model: Lobe, material: int, diffuse: bool) -> list[str]:
     """Which fitted parameters ended at a bound, such as `roughness[1] = 0.5` for the second lobe's."""
-    count = -1
     found: list[str] = []
-    for component in model.components():
-        is_diffuse = component.is_diffuse
-        count += not is_diffuse
-        if is_diffuse and not diffuse:
+    for k, name, label in _labels(model):
+        component = model.components()[k]
+        if component.is_diffuse and not diffuse:
             continue
+        spec = component.parameter_specs[name]
+        close = 1e-6 * max(abs(spec.lower), abs(spec.upper))
+        low, high = spec.lower + min(close, 1e-3 * abs(spec.lower)), spec.upper - close
+        values = getattr(component, name)[material].flatten().tolist()
+        # Channels at the same bound are said once.
+        found += dict.fromkeys(f"{label} = {value:g}" for value in values if value <= low or value >= high)
+    return found
+
+
+def _labels(model: Lobe) -> Iterator[tuple[int, str, str]]:
+    """Of each parameter its component, its name there, and what people are told it by, as `roughness[1]`."""
+    count = -1
+    for k, component in enumerate(model.components()):
+        count += not component.is_diffuse
         for name, spec in component.parameter_specs.items():
             label = name if component.is_material else f"{name}[{count}]"
-            if is_diffuse:
+            if component.is_diffuse:
                 label = "diffuse" if spec.is_colour else f"diffuse_{name}"
-            close = 1e-6 * max(abs(spec.lower), abs(spec.upper))
-            low, high = spec.lower + min(close, 1e-3 * abs(spec.lower)), spec.upper - close
-            values = getattr(component, name)[material].flatten().tolist()
-            # Channels at the same bound are said once.
-            found += dict.fromkeys(f"{label} = {value:g}" for value in values if value <= low or value >= high)
-    return found
+            yield k, name, label
 
 
 def write_fits_csv(path: Path | str, records: Iterable[FitRecord]) -> None:

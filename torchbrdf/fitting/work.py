@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchbrdf.errors import UsageError
 from torchbrdf.fitting.basis import is_separable
+from torchbrdf.fitting.determined import undetermined
 from torchbrdf.fitting.intervals import Intervals, find_intervals
 from torchbrdf.fitting.objective import QuadraticObjective, make_objective
 from torchbrdf.fitting.sampling import stratified
@@ -50,6 +51,7 @@ class Fitted(NamedTuple):
     subset_error: Tensor
     counts: Tensor
     intervals: dict[str, Intervals]
+    open: ParameterDict
 
 
 @dataclass
@@ -82,8 +84,9 @@ class FitSome:
         subset_error = errors_seen(fitted, known.some or known.whole, loss, known.seen, free)
         error = subset_error if known.some is None else errors_seen(fitted, known.whole, loss, known.full, free)
         intervals = find_intervals(self.intervals, task.objective, values, free, counts, self.subset.seed)
+        open_ = undetermined(task.objective, values, free)
         self.shared.put(key, known)
-        return Fitted(values, outcome, error, subset_error, counts, intervals)
+        return Fitted(values, outcome, error, subset_error, counts, intervals, open_)
 
     def _by_sums(self, part: Lobe, values: ParameterDict, measured: Measured, sums: SufficientStatistics) -> Fitted:
         """The fits from sufficient statistics: all pairs from the first step on."""
@@ -99,7 +102,8 @@ class FitSome:
         error, values = objective.errors(fitted), get_parameters(fitted)
         free = task.all_free(self.fit_diffuse)
         intervals = find_intervals(self.intervals, objective, values, free, sums.counts, self.subset.seed)
-        return Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals)
+        open_ = undetermined(objective, values, free)
+        return Fitted(values, outcome, error, error, sums.counts.long().cpu(), intervals, open_)
 
     def _run(self, task: Task, values: ParameterDict) -> Outcome:
         """What the strategy finds."""

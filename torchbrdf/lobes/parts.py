@@ -357,6 +357,8 @@ def read_part(path: Path, part: int, manifest: Manifest) -> list[dict[str, Any]]
             else "it was cut short"
             if body[-1:] != b"\n"
             else "lines are missing"
+            if count < head.fits
+            else "there are more"
         )
         raise DataError(f"{path}: expected {shown(head.fits)} fits as they were written, found {count}: {how}")
     try:

@@ -25,7 +25,7 @@ NUMBERS = ("error", "subset_error", "errors", "differences", "pictures")
 # Fields of text that people are shown, and how long they may be.
 TEXTS = {
     "loss": 200, "strategy": 2000, "chosen": 2000, "status": 200, "diffuse": 200, "reason": 2000, "scene": 2000,
-    "at_bounds": 200,
+    "at_bounds": 200, "undetermined": 200,
 }  # fmt: skip
 REACHED = 1.2
 """An error up to so many times that of the noise alone has reached it."""
@@ -50,6 +50,7 @@ class FitRecord:
         starts: How many starts the strategy tried.
         ties: How many other minima came within 1 % of the best.
         at_bounds: Parameters that ended at a bound.
+        undetermined: Parameters that the error leaves open, see `torchbrdf.fitting.undetermined`.
         seconds: Of work, its share of the batch.
         max_theta: Largest angle from the normal of the pairs that counted, in degrees.
         samples: How many pairs the solver saw; None: every one.
@@ -95,6 +96,7 @@ class FitRecord:
     starts: int = 1
     ties: int = 0
     at_bounds: list[str] = field(default_factory=list)
+    undetermined: list[str] = field(default_factory=list)
     seconds: float = 0.0
     max_theta: float | None = None
     samples: int | None = None
@@ -129,7 +131,9 @@ class FitRecord:
             if self.strategy or not _is_default(self, key):
                 found[key] = getattr(self, key)
         found |= {
-            key: getattr(self, key) for key in ("channels", "wavelengths", "reading") if not _is_default(self, key)
+            key: getattr(self, key)
+            for key in ("undetermined", "channels", "wavelengths", "reading")
+            if not _is_default(self, key)
         }
         found["parameters"] = self.parameters
         for key in ("intervals", "errors", "outlier", "differences", "pictures", "noise"):
@@ -189,7 +193,7 @@ class FitRecord:
             raise DataError(f"{where}: wavelengths: {expected}, found {shown(lengths)}")
         check_name(self.material, f"{where}: material")
         for key, longest in TEXTS.items():
-            for text in [getattr(self, key)] if key != "at_bounds" else self.at_bounds:
+            for text in [value] if isinstance(value := getattr(self, key), str) else value:
                 if not text.isprintable() or len(text) > longest:
                     raise DataError(
                         f"{where}: {key}: expected at most {longest} printable characters, found {shown(text)}"

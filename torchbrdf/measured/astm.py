@@ -44,7 +44,10 @@ class Astm(ListedFormat):
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
         """Whether it is an ASTM E1392 file, by the names that its header has."""
-        names = {line.split(None, 1)[0].upper() for line in head_lines(path, head)}
+        lines = head_lines(path, head)
+        if not any(line[:4].upper() == "VARS" for line in lines):  # of most files, quickly
+            return False
+        names = {line.split(None, 1)[0].upper() for line in lines}
         return "VARS" in names and bool(names.intersection(_KEYS))
 
     def parse(self, path: Path) -> Listed:

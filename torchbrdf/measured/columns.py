@@ -1,6 +1,7 @@
 """What anybody can write: columns with names, in CSV or in an `.npz`."""
 
 import csv
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
 from torchbrdf.measured.listed import Listed, ListedFormat
-from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
-from torchbrdf.reading import read_npz
+from torchbrdf.measured.rows import head_lines, lines_of, parse_rows
+from torchbrdf.reading import npz_arrays, read_bytes
 
 _EXPECTED = "columns theta_i, theta_o, phi and bands"
 _NEEDED = ("theta_i", "theta_o")
@@ -57,13 +58,12 @@ class Columns(ListedFormat):
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
-        with path.open("rb") as file:
-            packed = file.read(2) == b"PK"
-        names, numbers, facts = _packed(path) if packed else _text(path)
+        data = read_bytes(path, _EXPECTED)
+        names, columns, facts = (_packed if data.startswith(b"PK") else _text)(path, data)
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise DataError(f"{path}: expected each column once, found {shown(twice[0])} more often")
-        column = {name: numbers[:, k] for k, name in enumerate(names)}
+        column = dict(zip(names, columns, strict=True))
         for name in _NEEDED:
             if name not in column:
                 raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
@@ -72,20 +72,19 @@ class Columns(ListedFormat):
             if "phi" in names:
                 facts["azimuths"] = "those of the columns phi_i and phi_o; phi was passed over"
         elif "phi" in names:
-            phi_i, phi_o = 0 * column["phi"], column["phi"]
+            phi_i, phi_o = np.zeros_like(column["phi"]), column["phi"]
         else:
             raise DataError(f"{path}: expected a column phi, or phi_i and phi_o, found {shown(' '.join(names), 90)}")
-        polar, azimuth = (np.stack(one, -1) for one in ((column["theta_i"], column["theta_o"]), (phi_i, phi_o)))
-        factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
+        angles = np.stack([column["theta_i"], phi_i, column["theta_o"], phi_o], -1, dtype=np.float64)
+        factor, unit = in_radians(path, angles[:, ::2], angles[:, 1::2], self.setting("angles", "auto"))
         rest = [name for name in names if name not in (*_NEEDED, *_AZIMUTHS)]
         found = columns_of_bands(rest)
         if found is None or (len(rest) == 1 and found[1] is None and rest[0] not in _GREY):
             other = shown(" ".join(rest), 90)
             raise DataError(f"{path}: expected r, g, b, or bands such as 465nm, or f, found {other}")
         order, wavelengths = found
-        values = np.stack([column[rest[k]] for k in order], -1)
-        angles = factor * np.stack([polar[:, 0], phi_i, polar[:, 1], phi_o], -1)
-        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
+        values = np.stack([column[rest[k]] for k in order], -1, dtype=np.float64)
+        return Listed(factor * angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
 
 
 def _names(line: str) -> list[str]:
@@ -95,25 +94,25 @@ def _names(line: str) -> list[str]:
     return [name.strip().lower() for name in row if name.strip()]
 
 
-def _text(path: Path) -> tuple[list[str], np.ndarray, dict[str, object]]:
-    """Names, numbers and facts of a CSV file."""
-    lines = text_lines(path, _EXPECTED)
+def _text(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object]]:
+    """Names, columns and facts of a CSV file."""
+    lines = lines_of(data)
     at = next((k for k, line in enumerate(lines) if line and line[0] != "#"), None)
     names = [] if at is None else _names(lines[at])
     if at is None or not set(_NEEDED) <= set(names):
         raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
     rows = parse_rows(path, [line.replace('"', "") for line in lines[at + 1 :]], len(names), at + 2)
-    return names, rows.numbers, {"mended": rows.mended} if rows.mended else {}
+    return names, rows.numbers.T, {"mended": rows.mended} if rows.mended else {}
 
 
-def _packed(path: Path) -> tuple[list[str], np.ndarray, dict[str, object]]:
+def _packed(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object]]:
     """The same of an `.npz`."""
-    arrays = read_npz(path, _EXPECTED, checksum=False)
+    arrays = npz_arrays(path, data, _EXPECTED)
     size = len(np.atleast_1d(next(iter(arrays.values()), np.empty(0))))
     for name, one in arrays.items():
         if one.shape != (size,) or one.dtype.kind not in "fiu":
             raise DataError(f"{path}: {shown(name)}: expected {size} numbers, found {one.dtype} {one.shape}")
-    return [name.lower() for name in arrays], np.stack([*arrays.values()], -1).astype(np.float64), {}
+    return [name.lower() for name in arrays], arrays.values(), {}
 
 
 def _arrays(path: Path) -> list[str]:

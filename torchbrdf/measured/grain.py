@@ -27,6 +27,17 @@ class Grain(NamedTuple):
     facts: dict[str, object]
 
 
+def azimuths(wi: np.ndarray) -> int:
+    """How many azimuths the light has, but at the normal.
+
+    Args:
+        wi: Unit vectors to it, `(N, 3)`.
+    """
+    tilted = wi[:, 2] < np.cos(np.radians(_STEP))
+    azimuth = np.round(np.degrees(np.arctan2(wi[tilted, 1], wi[tilted, 0])) / _STEP).astype(np.int64)
+    return len(np.unique(azimuth % round(360 / _STEP)))
+
+
 def grain_of(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, told: str = GRAINS[0]) -> Grain:
     """Whether samples have a grain: of those whose light has several azimuths by what they predict.
 
@@ -39,9 +50,7 @@ def grain_of(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, told: str = GRA
         values: `(N,)`.
         told: One of `GRAINS`.
     """
-    tilted = wi[:, 2] < np.cos(np.radians(_STEP))
-    azimuth = np.round(np.degrees(np.arctan2(wi[tilted, 1], wi[tilted, 0])) / _STEP).astype(np.int64)
-    count = len(np.unique(azimuth % round(360 / _STEP)))
+    count = azimuths(wi)
     name = "azimuths of the light"
     if told == "anisotropic":
         return Grain(True, {"anisotropic": f"{count} {name}; as was told"})

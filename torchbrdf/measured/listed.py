@@ -27,8 +27,8 @@ from torchbrdf.measured.bands import (
     rgb_weights,
 )
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
-from torchbrdf.measured.grain import GRAINS, Grain, grain_of
-from torchbrdf.measured.summary import repeated, summary
+from torchbrdf.measured.grain import GRAINS, Grain, azimuths, grain_of
+from torchbrdf.measured.summary import are_any_repeated, repeated, summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -73,6 +73,31 @@ class Listed:
         return direction(theta_i, phi_i), direction(theta_o, phi_o)
 
 
+class _Directions(NamedTuple):
+    """The directions of a file's samples, and what follows of them alone: an instrument's files often share them.
+
+    `are_any_repeated` is false where no two samples have the same ones; `has_azimuths` where the light has only one.
+    """
+
+    angles: np.ndarray
+    wi: np.ndarray
+    wo: np.ndarray
+    above: np.ndarray
+    tensors: tuple[Tensor, Tensor]
+    are_any_repeated: bool
+    has_azimuths: bool
+
+    @classmethod
+    def of(cls, listed: Listed) -> "_Directions":
+        """Those of a file."""
+        wi, wo = listed.directions()
+        for one in (wi, wo):
+            one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
+        above = np.minimum(wi[:, 2], wo[:, 2]) > 0
+        tensors = torch.from_numpy(wi), torch.from_numpy(wo)
+        return cls(listed.angles, wi, wo, above, tensors, are_any_repeated(wi, wo), azimuths(wi[above]) > 1)
+
+
 class _Opened(NamedTuple):
     """What was read of one file: directions, values and validity of N samples, facts, and wavelengths of bands."""
 
@@ -103,6 +128,7 @@ class ListedFormat(BrdfFormat):
         self.paths = list(paths)
         self.names = [path.stem for path in paths]
         self.told = dict(settings or {})
+        self._last: _Directions | None = None
         self._read = [self._opened(path) for path in paths]
         self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
         check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
@@ -113,27 +139,28 @@ class ListedFormat(BrdfFormat):
         if not len(listed.values):
             raise DataError(f"{path}: expected samples, found none")
         values, words, wavelengths = self._in_colors(listed)
-        wi, wo = listed.directions()
-        for one in (wi, wo):
-            one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
+        if self._last is None or not np.array_equal(self._last.angles, listed.angles):
+            self._last = _Directions.of(listed)
+        wi, wo, above = self._last.wi, self._last.wo, self._last.above
         with np.errstate(invalid="ignore"):
-            values *= _factor(listed.quantity, wo[:, 2])[:, None]
-            valid = (np.minimum(wi[:, 2], wo[:, 2]) > 0) & (np.abs(values) <= LARGEST_VALUE).all(1)
+            values *= _factor(listed.quantity, wo[:, 2])
+            valid = above & (np.abs(values) <= LARGEST_VALUE).all(1)
         if not valid.any():
-            above = np.minimum(wi[:, 2], wo[:, 2]) > 0
             if above.any():
                 expected = f"expected values up to {LARGEST_VALUE:g} / sr, found"
                 finite = np.abs(values[above])[np.isfinite(values[above])]
                 raise DataError(f"{path}: {expected} {f'{finite.min():.3g} and more' if finite.size else 'none'}")
             raise DataError(f"{path}: expected valid samples above the horizon, found none among {len(valid)}")
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
-        if again := repeated(wi[valid], wo[valid], values[valid]):
+        values[~valid] = 0
+        grain, told = Grain(False, {}), self.setting("grain", GRAINS[0])
+        if self._last.are_any_repeated and (again := repeated(wi[valid], wo[valid], values[valid])):
             facts["repeated directions"] = again
             log.warning("torchbrdf: %s: repeated directions: %s", path, again)
-        values[~valid] = 0
-        grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), self.setting("grain", GRAINS[0]))
-        toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
-        return _Opened(toward, seen, found, good, facts | grain.facts, wavelengths, grain)
+        if self._last.has_azimuths or told == "anisotropic":
+            grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), told)
+        found, good = torch.from_numpy(values), torch.from_numpy(valid)
+        return _Opened(*self._last.tensors, found, good, facts | grain.facts, wavelengths, grain)
 
     def _in_colors(self, listed: Listed) -> tuple[np.ndarray, str, tuple[float, ...] | None]:
         """Values as linear RGB, or in bands, how they became so, and the wavelengths of bands."""
@@ -226,8 +253,8 @@ def in_colors(listed: Listed, illuminant: str) -> tuple[np.ndarray, str]:
     return found, colors_label(listed.wavelengths, illuminant)
 
 
-def _factor(quantity: str, cos_o: np.ndarray) -> np.ndarray:
-    """What a quantity is multiplied by to be a BRDF, `(N,)`."""
+def _factor(quantity: str, cos_o: np.ndarray) -> np.ndarray | float:
+    """What a quantity is multiplied by to be a BRDF, a number or `(N, 1)`."""
     if quantity == "brdf":
-        return np.ones_like(cos_o)
-    return np.full_like(cos_o, 1 / np.pi) if quantity == "reflectance_factor" else 1 / np.maximum(cos_o, LEAST_COSINE)
+        return 1.0
+    return 1 / np.pi if quantity == "reflectance_factor" else 1 / np.maximum(cos_o, LEAST_COSINE)[:, None]

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import zipfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -66,8 +67,7 @@ def load(
         >>> measured.batch([0], samples=torch.arange(5)).values.shape
         torch.Size([1, 5, 3])
     """
-    files = find_files(paths)
-    groups = by_format(files)
+    groups = grouped(paths)
     if len(groups) > 1:
         found = ", ".join(f"{members[0]} is {name}" for name, members in groups.items())
         raise DataError(f"expected files of one format, found {len(groups)}: {found}; load_all takes them all")
@@ -107,7 +107,7 @@ def load_all(
         >>> [measured.source.format for measured in load_all([standins()])]
         ['fits']
     """
-    groups = by_format(find_files(paths, bad), bad)
+    groups = grouped(paths, bad)
     settings = _with_bands(settings, bands)
     check_settings(groups, settings)
     found = [
@@ -293,12 +293,12 @@ def open_good(
     return open_files(name, [paths[row] for row in good], dtype, device, settings, own)
 
 
-def by_format(paths: Sequence[Path], bad: list[DataError] | None = None) -> dict[str, list[Path]]:
-    """Files by their formats; bad: takes the errors of those of none."""
+def grouped(paths: Paths, bad: list[DataError] | None = None) -> dict[str, list[Path]]:
+    """The files that paths name, see `find_files`, by their formats; bad: takes the errors of those of none."""
     groups: dict[str, list[Path]] = {}
-    for path in paths:
+    for path, name in _found(paths, bad).items():
         try:
-            groups.setdefault(_expect_format(path), []).append(path)
+            groups.setdefault(name or _expect_format(path), []).append(path)
         except DataError as error:
             if bad is None:
                 raise
@@ -323,9 +323,14 @@ def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
 
     A name in the zoo is a path, too. A file that is called so comes as its absolute path, which is no such name.
     """
+    return list(_found(paths, bad))
+
+
+def _found(paths: Paths, bad: list[DataError] | None) -> dict[Path, str | None]:
+    """The files that paths name, with the formats of those for which these had to be found out."""
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
-    files: dict[Path, Path] = {}
+    files: dict[Path, tuple[Path, str | None]] = {}
     asked = list(paths)
     if not asked:
         raise DataError(f"no file was given; expected measured BRDFs ({_known()})")
@@ -336,19 +341,22 @@ def find_files(paths: Paths, bad: list[DataError] | None = None) -> list[Path]:
             path = Path(given)
             if is_zoo(given):
                 zoo_record(given)  # says if there is none
-                files[path] = path
+                files[path] = path, None
                 continue
             path = _file(path)
             with reading(path, "measured BRDFs"):  # a name may be too long for the system
-                for file in _folder(path) if path.is_dir() else [path]:
-                    if not file.is_file():
-                        raise DataError(f"{file}: {'not a file' if file.exists() else 'no such file or folder'}")
-                    files.setdefault(file.resolve(), file)
+                if path.is_dir():
+                    for real, own in _folder(path).items():
+                        files.setdefault(real, own)
+                    continue
+                if not path.is_file():
+                    raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file or folder'}")
+                files.setdefault(path.resolve(), (path, None))
         except DataError as error:
             if bad is None:
                 raise
             bad.append(error)
-    return list(files.values())
+    return dict(files.values())
 
 
 def _file(path: Path) -> Path:
@@ -356,19 +364,40 @@ def _file(path: Path) -> Path:
     return path.absolute() if is_zoo(path) else path
 
 
-def _folder(path: Path) -> list[Path]:
+def _folder(path: Path) -> dict[Path, tuple[Path, str | None]]:
+    """The measured BRDFs of a folder by where they really are, with their formats where suffixes do not tell them."""
+    where = path.resolve()
     if fit_folder(path) is not None:
-        return [path / MANIFEST]
+        return {(where / MANIFEST).resolve(): (path / MANIFEST, None)}
     try:
-        inside = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
+        with os.scandir(path) as entries:
+            inside = sorted(
+                (entry.name, entry.is_symlink()) for entry in entries if entry.name[0] != "." and entry.is_file()
+            )
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     named = {suffix for source in FORMATS.values() for suffix in source.suffixes}
-    known = [file for file in map(_file, inside) if file.suffix.lower() in named or format_of(file)]
+    known, passed = {}, []
+    for name, is_link in inside:
+        file = _file(path / name)
+        found = None if file.suffix.lower() in named else format_of(file)
+        if found or file.suffix.lower() in named:
+            known[file.resolve() if is_link else where / name] = file, found
+        else:
+            passed.append(file)
     if not known:
         raise DataError(f"{path}: expected measured BRDFs ({_known()}), found {_count(path, len(inside))}")
-    _say_passed(path, [file for file in inside if _file(file) not in known])
-    return known
+    like = {file.suffix for file, _ in known.values()}
+    broken = [file for file in passed if file.suffix in like and _is_broken(file)]
+    known |= {where / file.name: (file, None) for file in broken}
+    _say_passed(path, [file for file in passed if file not in broken])
+    return dict(sorted(known.items(), key=lambda item: item[1][0].name))
+
+
+def _is_broken(path: Path) -> bool:
+    """Whether a file of no format is what copying may have left of one: nothing, or a part of an archive."""
+    head = _head(path)
+    return not head or (head.startswith(b"PK") and not zipfile.is_zipfile(path))
 
 
 def _say_passed(folder: Path, passed: Sequence[Path]) -> None:

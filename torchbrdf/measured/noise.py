@@ -6,7 +6,9 @@ samples are compared with what their neighbours say, beside a smooth surface thr
 the surface does not follow, and so the noise at most.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from torchbrdf.measured.measured import Measured
 from torchbrdf.measured.scattered import Angles, Places, Surface, tree_of
+from torchbrdf.pairs import Pairs
 
 # Degrees within which samples are at the same place; so many samples at least say something; so many are looked at.
 _SAME, LEAST, MOST = 0.05, 30, 4000
@@ -99,11 +102,28 @@ def noise_of(measured: Measured) -> Noise | None:
         >>> noise_of(load(standins()).batch([6])) is None
         True
     """
+    return noises_of(measured)[0]
+
+
+def noises_of(measured: Measured) -> list[Noise | None]:
+    """The same of each of M materials; what follows of directions alone is done once for those that share them.
+
+    Args:
+        measured: M materials.
+
+    Example:
+        >>> from torchbrdf.measured import load, standins
+        >>> noises_of(load(standins()).batch([5, 6]))
+        [None, None]
+    """
     source = measured.source
     if not source.is_sampled or source.stand_in or getattr(source, "is_anisotropic", False):
-        return None
-    found = _in_table(measured) if len(measured.pairs) > _TABLE else _scattered(measured)
-    return None if found is None else _told(found)
+        return [None] * len(measured)
+    if len(measured.pairs) > _TABLE:
+        every = [_in_table(measured.batch([k])) for k in range(len(measured))]
+    else:
+        every = list(_scattered(measured))
+    return [None if found is None else _told(found) for found in every]
 
 
 def _told(found: _Off) -> Noise | None:
@@ -111,33 +131,78 @@ def _told(found: _Off) -> Noise | None:
     size, off = np.abs(found.values).reshape(-1), np.abs(found.off).reshape(-1)
     order = size.argsort(kind="stable")
     parts = [part for part in np.array_split(order, min(_LEVELS, max(len(order) // _EACH, 1))) if len(part)]
-    level = np.array([np.median(size[part]) for part in parts])
-    deviation = _OF_MEDIAN * np.array([np.median(off[part]) for part in parts])
+    level = np.array([_median(size[part]) for part in parts])
+    deviation = _OF_MEDIAN * np.array([_median(off[part]) for part in parts])
     level, first = np.unique(level, return_index=True)
-    share = float(_OF_MEDIAN * np.median(off / np.maximum(size, _TINY)))
+    share = float(_OF_MEDIAN * _median(off / np.maximum(size, _TINY)))
     return Noise(share, found.by, len(found.off), level, deviation[first])
 
 
-def _scattered(measured: Measured) -> _Off | None:
+def _median(values: np.ndarray) -> float:
+    """As numpy's, which takes ten times as long for few values."""
+    ordered = np.sort(values)
+    return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2)
+
+
+def _scattered(measured: Measured) -> Iterator[_Off | None]:
     """By samples at the same place; else by neighbours."""
-    pairs, valid = measured.pairs.select([0]), measured.weight[0, :, 0] > 0
-    index = (valid & pairs.above_horizon[0]).nonzero()[:, 0]
-    if len(index) < LEAST:
-        return None
-    angles = Angles.of(pairs.select(samples=index), 0)
-    values = measured.values[0, index].double().cpu().numpy()
-    same = _same_place(angles, values)
-    # Where they are equal but for rounding, somebody made them so.
-    if same is not None and np.median(np.abs(same.off) / np.maximum(np.abs(same.values), _TINY)) > _ROUNDING:
-        return same
-    return _neighbours(angles, values)
+    where: _Where | None = None
+    for row in range(len(measured)):
+        own = row if measured.pairs.shape[0] > 1 else 0
+        index = ((measured.weight[row, :, 0] > 0) & measured.pairs.above_horizon[own]).nonzero()[:, 0]
+        if len(index) < LEAST:
+            yield None
+            continue
+        if where is None or where.row != own or not torch.equal(where.index, index):
+            where = _Where(measured.pairs, own, index)
+        values = measured.values[row, index].double().cpu().numpy()
+        same = _same_place(where, values)
+        # Where they are equal but for rounding, somebody made them so.
+        if same is not None and np.median(np.abs(same.off) / np.maximum(np.abs(same.values), _TINY)) > _ROUNDING:
+            yield same
+        else:
+            yield _neighbours(where, values)
 
 
-def _same_place(angles: Angles, values: np.ndarray) -> _Off | None:
+class _Where:
+    """Where samples are, those of `index` of one row of pairs, and which of them are to be compared with each other."""
+
+    def __init__(self, pairs: Pairs, row: int, index: Tensor) -> None:
+        self.row, self.index = row, index
+        self.angles = Angles.of(pairs.select(samples=index), row)
+
+    @cached_property
+    def same(self) -> tuple[np.ndarray, np.ndarray]:
+        """The place of each sample, and how many are there."""
+        cell = np.round(self.angles.turned() / _SAME).astype(np.int64)
+        _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+        return own.reshape(-1), count
+
+    @cached_property
+    def places(self) -> Places:
+        """For a surface through all of them."""
+        return Places(self.angles)
+
+    @cached_property
+    def planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Places `(n,)`, their neighbours `(n, k)`, and what these count in the planes through them, `(n, k)`."""
+        places = self.places
+        points = np.stack([places.mean(axis) for axis in self.angles.places().T], -1)
+        if len(points) <= _NEIGHBOURS:
+            return None
+        some = np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(np.int64))
+        distance, index = tree_of(points).query(points[some], _NEIGHBOURS + 1)
+        index, reach = index[:, 1:], distance[:, -1:, None]
+        step = (points[index] - points[some][:, None]) / np.maximum(reach, 1e-12)
+        plane = np.concatenate([np.ones_like(step[..., :1]), step], -1)
+        share = np.linalg.pinv(plane, rcond=1e-2)[:, 0]
+        steady = np.square(share).sum(1) < _STEADY
+        return None if steady.sum() < LEAST else (some[steady], index[steady], share[steady])
+
+
+def _same_place(where: _Where, values: np.ndarray) -> _Off | None:
     """What samples are off from the mean of those at the same place."""
-    cell = np.round(angles.turned() / _SAME).astype(np.int64)
-    _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    own = own.reshape(-1)
+    own, count = where.same
     several = count[own] > 1
     if several.sum() < LEAST:
         return None
@@ -146,24 +211,13 @@ def _same_place(angles: Angles, values: np.ndarray) -> _Off | None:
     return _Off(((values - mean) * spread)[several], mean[several], "samples that ought to be equal")
 
 
-def _neighbours(angles: Angles, values: np.ndarray) -> _Off | None:
+def _neighbours(where: _Where, values: np.ndarray) -> _Off | None:
     """What samples are off from a plane through their neighbours, beside a smooth surface through all."""
-    places = Places(angles)
-    surface = Surface(places, values)
-    points, rest = np.stack([places.mean(axis) for axis in angles.places().T], -1), surface.rest
-    if len(points) <= _NEIGHBOURS:
+    if where.planes is None:
         return None
-    some = np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(np.int64))
-    distance, index = tree_of(points).query(points[some], _NEIGHBOURS + 1)
-    index, reach = index[:, 1:], distance[:, -1:, None]
-    step = (points[index] - points[some][:, None]) / np.maximum(reach, 1e-12)
-    plane = np.concatenate([np.ones_like(step[..., :1]), step], -1)
-    share = np.linalg.pinv(plane, rcond=1e-2)[:, 0]
-    steady = np.square(share).sum(1) < _STEADY
-    if steady.sum() < LEAST:
-        return None
-    index, share, some = index[steady], share[steady], some[steady]
-    off = rest[some] - np.einsum("nk,nkc->nc", share, rest[index])
+    some, index, share = where.planes
+    surface = Surface(where.places, values)
+    off = surface.rest[some] - np.einsum("nk,nkc->nc", share, surface.rest[index])
     off /= np.sqrt(1 + np.square(share).sum(1, keepdims=True))
     mean = surface.mean[some]
     return _Off(off * np.sqrt(np.square(mean) + 4 * surface.scale**2), mean, "neighbours, at most")

@@ -1,6 +1,7 @@
 """Text files of measurements: lines, and rows of numbers, as programs of many kinds write them."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -38,10 +39,17 @@ def head_lines(path: Path, head: bytes) -> list[str]:
     if not is_text(head):
         return []
     try:
-        with path.open("rb") as file:
-            start = file.read(HEAD)
+        status = path.stat()
+        return _lines_at_start(path, status.st_mtime_ns, status.st_size)
     except OSError:
         return []
+
+
+@lru_cache(4)
+def _lines_at_start(path: Path, *stamp: int) -> list[str]:
+    """The same of a file that many formats look at, one after the other; stamp: tells it from what it was before."""
+    with path.open("rb") as file:
+        start = file.read(HEAD)
     if not is_text(start):
         return []
     text = start.decode("utf-8", "replace").removeprefix("\ufeff")
@@ -61,7 +69,11 @@ def text_lines(path: Path, expected: str) -> list[str]:
     Raises:
         DataError: It cannot be read, or is too large.
     """
-    data = read_bytes(path, expected)
+    return lines_of(read_bytes(path, expected))
+
+
+def lines_of(data: bytes) -> list[str]:
+    """The same of the bytes of a file."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -95,17 +107,41 @@ def parse_rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Ro
     check_unpacked(path, _BYTES_A_CELL * columns * len(own))
     mark, decimal = _separator(own[0][1]) if own else (None, False)
     texts = [line.replace(",", ".") if decimal else line for _, line in own]
+    numbers = _of_plain(texts, mark, columns)
+    if numbers is None:
+        numbers = _of_any(path, texts, mark, columns, [number for number, _ in own])
+    return Rows(numbers.reshape(-1, columns), "decimal commas" if decimal else "")
+
+
+def _of_plain(texts: Sequence[str], mark: str | None, columns: int) -> np.ndarray | None:
+    """Numbers of rows that have them as JSON has, as nearly all do, which are read much faster; None of others."""
+    import msgspec  # late: not every file is text
+
+    if mark != ",":
+        if any("," in text for text in texts):
+            return None
+        texts = [",".join(text.split(mark)) for text in texts]
+    if any(text.count(",") != columns - 1 for text in texts):
+        return None
+    try:
+        found: list[float] = msgspec.json.decode(f"[{','.join(texts)}]", type=list[float])
+    except msgspec.MsgspecError:
+        return None
+    return np.array(found, dtype=np.float64)
+
+
+def _of_any(path: Path, texts: Sequence[str], mark: str | None, columns: int, lines: Sequence[int]) -> np.ndarray:
+    """The same of all that Python takes for numbers; an error names the first of the lines that is bad."""
     cells = [text.split(mark) for text in texts]
     if mark is not None:  # an empty cell behind the last one
         cells = [row[:-1] if len(row) == columns + 1 and not row[-1] else row for row in cells]
-    for (number, _), row in zip(own, cells, strict=True):
+    for number, row in zip(lines, cells, strict=True):
         if len(row) != columns:
             raise DataError(f"{path}: line {number}: expected {columns} numbers, found {len(row)}")
     try:
-        numbers = np.array(list(map(_number, chain.from_iterable(cells))), dtype=np.float64)
+        return np.array(list(map(_number, chain.from_iterable(cells))), dtype=np.float64)
     except ValueError:
-        raise DataError(_first_bad(path, [number for number, _ in own], cells)) from None
-    return Rows(numbers.reshape(-1, columns), "decimal commas" if decimal else "")
+        raise DataError(_first_bad(path, lines, cells)) from None
 
 
 def _number(cell: str) -> float:

@@ -8,6 +8,9 @@ from torchbrdf.measured.scattered import tree_of
 _SAME, _STEP = 0.05, 0.1
 # Degrees within which directions are the same ones again; a share of the value that is rounding.
 _REPEATED, _ROUNDING = 1e-3, 1e-5
+# What makes a number of a place, by sums that wrap.
+_MIXED = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5, 0x85EBCA77C2B2AE63,
+                   0xFF51AFD7ED558CCD], dtype=np.uint64).view(np.int64)  # fmt: skip
 # A list of angles that is longer is said by its ends.
 _FEW = 12
 
@@ -47,6 +50,21 @@ def summary(
     return facts
 
 
+def are_any_repeated(wi: np.ndarray, wo: np.ndarray) -> bool:
+    """Whether there may be samples at the same directions; where not, `repeated` has nothing to say of any of them.
+
+    Args:
+        wi: Unit vectors to the light, `(N, 3)`.
+        wo: Those to the viewer.
+    """
+    keys = np.sort(_places(wi, wo) @ _MIXED)  # equal places have equal keys, and others hardly ever
+    return bool((keys[1:] == keys[:-1]).any())
+
+
+def _places(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return np.round(np.concatenate([wi, wo], 1) / np.radians(_REPEATED)).astype(np.int64)
+
+
 def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
     """What there is to say of samples at the same directions with other values; "" where there are none.
 
@@ -55,8 +73,7 @@ def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
         wo: Those to the viewer.
         values: There, `(N, C)`.
     """
-    places = np.concatenate([wi, wo], 1) / np.radians(_REPEATED)
-    _, own, count = np.unique(np.round(places).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    _, own, count = np.unique(_places(wi, wo), axis=0, return_inverse=True, return_counts=True)
     own = own.reshape(-1)
     several = count > 1
     if not several.any():

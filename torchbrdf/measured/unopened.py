@@ -9,7 +9,7 @@ import torch
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured.format import FORMATS
-from torchbrdf.measured.load import Paths, alike, by_format, check_settings, find_files, open_good, unique_names
+from torchbrdf.measured.load import Paths, alike, check_settings, grouped, open_good, unique_names
 from torchbrdf.measured.measured import Measured
 from torchbrdf.names import clean_name
 
@@ -77,7 +77,7 @@ def load_later(
         >>> load_later([standins()])
         [Measured(fits: alum-bronze, aluminium, blue-acrylic, ...; 10 materials, 1096216 pairs)]
     """
-    groups = by_format(find_files(paths, bad), bad)
+    groups = grouped(paths, bad)
     check_settings(groups, settings)
     found: list[Measured | Unopened] = []
     for name, members in groups.items():

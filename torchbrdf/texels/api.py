@@ -54,6 +54,7 @@ def fit_texels(
     size: tuple[int, int] | None = None,
     out: Path | str | None = None,
     formats: Sequence[str] = ("exr", "png"),
+    device: torch.device | str | None = None,
     progress: Progress = quiet,
 ) -> TexelMaps:
     """Fit a model to every texel of a photometric stack, tile by tile.
@@ -87,6 +88,8 @@ def fit_texels(
         size: H and W, where observations are a function.
         out: a folder for tiles and maps, of which an interrupted fit is taken up; None: maps are kept in memory.
         formats: of the maps in `out`: "exr", "png", "zarr"; see `write_maps`.
+        device: where texels are solved; by default the CPU. On a GPU tiles come one after the other, and larger ones
+            are better.
         progress: called with the number of texels done.
 
     Returns:
@@ -116,6 +119,7 @@ def fit_texels(
     fit = TexelFit(
         model, loss, reading, tuple(sorted(held)), _within("smoothness", smoothness, 0, 1e6),
         _whole("sweeps", sweeps, 1, 16), _whole("max_iterations", max_iterations, 1, 10_000),
+        _device(device),
     )  # fmt: skip
     tiling = Tiling(stack.size, tile)
     if out is None:
@@ -146,7 +150,9 @@ def _fit_tiles(
     for group in _groups(tiles, AHEAD * torch.get_num_threads()):
         read = list(_read(stack, group, fit.margin, failed))
         done += sum(_texels(one) for one in group) - sum(_texels(one) for one, _ in read)
-        for (one, _), maps in zip(read, process_map(fit, [data for _, data in read]), strict=True):
+        every = [data for _, data in read]
+        work = process_map(fit, every) if fit.device == "cpu" else map(fit, every)
+        for (one, _), maps in zip(read, work, strict=True):
             if isinstance(maps, Lost):
                 _say(failed, one, maps.reason)
             else:
@@ -218,8 +224,17 @@ def _irradiance(value: Any, count: int) -> np.ndarray:
     return found
 
 
+def _device(device: torch.device | str | None) -> str:
+    try:
+        return str(torch.device(device or "cpu"))
+    except RuntimeError:
+        raise UsageError(f"device: expected one of torch's, such as cuda:0, found {shown(device)}") from None
+
+
 def _model(model: Lobe, held: Sequence[str]) -> Lobe:
     """The model in float32 on the CPU, if texels can be fitted by it."""
+    if not isinstance(model, Lobe):
+        raise UsageError(f"model: expected a lobe or a sum of them, as make_model gives, found {shown(model)}")
     for part in model.components():
         if not part.is_separable():
             raise UsageError(f"model: expected lobes that are coefficients times terms, found {type(part).__name__}")

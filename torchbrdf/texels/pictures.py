@@ -22,6 +22,10 @@ log = logging.getLogger("torchbrdf")
 
 COLUMNS = ("file", "x", "y", "z")
 COLOR = ("r", "g", "b")
+LEAST = 1e-12
+"""Of a length or an irradiance: fits are in single precision, which has no squares of much smaller numbers."""
+# Characters of a table: more than anybody has lights.
+LARGEST = 1 << 24
 _EXPECTED = "a table of lights"
 
 
@@ -62,8 +66,11 @@ def read_lights(path: Path | str) -> list[Light]:
         (0.0, 0.0, 1.0)
     """
     path = Path(path)
+    text = read_text(path, _EXPECTED)
+    if len(text) > LARGEST:
+        raise DataError(f"{path}: expected {_EXPECTED} of at most {LARGEST} characters, found {len(text)}")
     try:
-        reader = csv.DictReader(io.StringIO(read_text(path, _EXPECTED)), strict=True, skipinitialspace=True)
+        reader = csv.DictReader(io.StringIO(text), strict=True, skipinitialspace=True)
         heads, rows = list(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise DataError(f"{path}: expected {_EXPECTED}, found {error}") from None
@@ -79,8 +86,11 @@ def read_lights(path: Path | str) -> list[Light]:
             raise DataError(f"{where}: expected the name of a picture, found {shown(row['file'])}")
         x, y, z = (_number(where, name, row[name]) for name in COLUMNS[1:])
         red, green, blue = (1.0, 1.0, 1.0) if own is None else [_number(where, name, row[name]) for name in own]
-        if min(red, green, blue) <= 0:
-            raise DataError(f"{where}: expected an irradiance above 0, found {min(red, green, blue):g}")
+        if min(red, green, blue) < LEAST or max(red, green, blue) > 1 / LEAST:
+            expected = f"expected an irradiance from {LEAST:g} to {1 / LEAST:g}"
+            raise DataError(f"{where}: {expected}, found {red:g} {green:g} {blue:g}")
+        if not LEAST <= math.hypot(x, y, z) <= 1 / LEAST:
+            raise DataError(f"{where}: expected the direction to a light, found {x:g} {y:g} {z:g}")
         found.append(Light(path.parent / row["file"], (x, y, z), (red, green, blue)))
     return found
 

@@ -56,7 +56,7 @@ def smoothed_fit(
 
     values: all parameters. The solution's values are the objective's errors, without the pull.
     """
-    lower, upper = free.limits()
+    lower, upper = (bound.to(mean.device) for bound in free.limits())
     share = objective.loss.smoothing_widths[-1]
     width = None if share is None else share * objective.target_scale
     bound = objective.bind(free, values, None, width)

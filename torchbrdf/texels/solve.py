@@ -22,6 +22,7 @@ from torchbrdf.losses import Loss, Problem
 from torchbrdf.precision import undisturbed
 from torchbrdf.solvers import Solution, Status
 from torchbrdf.solvers.status import RESOLUTION
+from torchbrdf.texels.beside import coarse_texels, neighbours, places_of, with_columns
 from torchbrdf.texels.problem import Reading, TexelProblem, texel_problem
 from torchbrdf.texels.smoothing import smoothed_fit
 from torchbrdf.texels.stack import TileData
@@ -31,12 +32,12 @@ Array = np.ndarray
 Maps = dict[str, Array]
 """Maps `(h, w, ...)` by name."""
 
-# Of the coarse grid: one texel in so many rows and columns.
-STEP = 12
 # Starts of a coarse texel: from the dictionary, or all over the bounds of a model that it does not serve.
 STARTS, QUASI_RANDOM = 3, 12
 # Texels that are solved together: enough that calls do not count, and few enough for the caches.
 BATCH = 1024
+# On a GPU as many as make so many numbers, of which some dozen arrays have to fit: 20 MB to 1 GB each.
+GPU_NUMBERS = 1 << 22
 # Coarse texels that give each other one its start.
 NEAREST = 3
 FTOL = 1e-5
@@ -61,6 +62,7 @@ class TexelFit:
         smoothness: what differences of neighbours cost, see `fit_texels`.
         sweeps: how often neighbours pull at each other.
         max_iterations: of the solver.
+        device: where problems are solved; all else is on the CPU.
     """
 
     model: Lobe
@@ -70,6 +72,7 @@ class TexelFit:
     smoothness: float = 0.0
     sweeps: int = 4
     max_iterations: int = 60
+    device: str = "cpu"
 
     @property
     def margin(self) -> int:
@@ -104,6 +107,7 @@ class _TileFit:
         self.values = get_parameters(fit.model.batched(len(own.counts)))
         self.error = torch.full((len(own.counts),), torch.nan, dtype=torch.float64, device="cpu")
         self.good, self.status = self._statuses()
+        self.batch = batch_size(fit.device, own.problem.target[0].numel() if len(own.counts) else 1)
 
     def run(self) -> Maps:
         """All of it."""
@@ -131,7 +135,7 @@ class _TileFit:
         return (status == TexelStatus.CONVERGED).nonzero()[:, 0], status
 
     def _objective(self, rows: Tensor, dtype: torch.dtype = torch.float32) -> GaussNewtonObjective:
-        model, own = self.fit.model.batched(len(rows)), self.own.problem.select(rows)
+        model, own = self.fit.model.batched(len(rows)).to(self.fit.device), self._problem(rows)
         if dtype != own.target.dtype:
             weight = None if own.weight is None else own.weight.to(dtype)
             own = Problem(own.pairs.to(dtype=dtype), own.target.to(dtype), weight)
@@ -139,10 +143,22 @@ class _TileFit:
         assert isinstance(found, GaussNewtonObjective)  # as fit_texels saw to it
         return found
 
+    def _problem(self, rows: Tensor) -> Problem:
+        """That of some texels, where it is solved."""
+        own, device = self.own.problem.select(rows), self.fit.device
+        if device == "cpu":
+            return own
+        weight = None if own.weight is None else own.weight.to(device)
+        return Problem(own.pairs.to(device), own.target.to(device), weight)
+
+    def _there(self, values: ParameterDict) -> ParameterDict:
+        """Parameters where problems are solved."""
+        return {name: value.to(self.fit.device) for name, value in values.items()}
+
     def _from_everywhere(self, rows: Tensor) -> None:
         """The best of several starts all over the bounds, kept where it is better than what there is."""
-        for own in rows.split(BATCH // 4) if len(rows) else ():
-            objective, here = self._objective(own), take_materials(self.values, own)
+        for own in rows.split(self.batch // 4) if len(rows) else ():
+            objective, here = self._objective(own), self._there(take_materials(self.values, own))
             task = Task(self.fit.model, objective)
             if has_dictionary(self.fit.model):
                 starts = starts_from_dictionary(self.fit.model, objective, here, bool(task.diffuse), STARTS)
@@ -162,9 +178,9 @@ class _TileFit:
         if not len(rows):
             return
         known = self.free.encode(take_materials(self.values, coarse))
-        for own in rows.split(BATCH):
+        for own in rows.split(self.batch):
             objective = self._objective(own)
-            away = _places(own, self.shape)[:, None] - _places(coarse, self.shape)
+            away = places_of(own, self.shape)[:, None] - places_of(coarse, self.shape)
             distance, nearest = away.square().sum(-1).topk(min(NEAREST, len(coarse)), largest=False)
             near = known[nearest]
             weight = 1 / distance.clamp_min(0.5)[..., None]
@@ -177,10 +193,10 @@ class _TileFit:
         """Of S starts `(S, m, P)` of each problem the one with the least error, `(m, P)`."""
         count, problems = starts.shape[:2]
         every = {name: value.repeat(count, 1) for name, value in here.items()}
-        bound = objective.bind(self.free, every, objective.material_indices.repeat(count))
+        bound = objective.bind(self.free, self._there(every), objective.material_indices.repeat(count))
         rows = torch.arange(count * problems, dtype=torch.int64, device="cpu")
-        value, _ = bound.value_and_gradient(starts.flatten(0, 1), rows)
-        best = value.nan_to_num(torch.inf).unflatten(0, (count, problems)).argmin(0)
+        value, _ = bound.value_and_gradient(starts.flatten(0, 1).to(self.fit.device), rows.to(self.fit.device))
+        best = value.cpu().nan_to_num(torch.inf).unflatten(0, (count, problems)).argmin(0)
         return starts[best, rows[:problems]]
 
     def _suspects(self) -> Tensor:
@@ -199,7 +215,7 @@ class _TileFit:
             around = torch.stack([self._around(x[:, k], part) for k in shapes.tolist()], -1)
             far = ((x[:, shapes] - around).abs() > FAR * (upper - lower)[shapes]).any(-1).nonzero()[:, 0]
             x[:, shapes] = around
-            for own in far.split(BATCH):
+            for own in far.split(self.batch) if len(far) else ():
                 rows = self.good[own]
                 here = take_materials(self.values, rows)
                 self._keep(rows, *self._solve(self._objective(rows), here | self._decoded(x[own])))
@@ -208,7 +224,7 @@ class _TileFit:
         """From the parameters of a texel beside, where these are better than its own: edges are nobody's between."""
         error = self.error[self.good]
         rows = self.good[error > SUSPECT * self._around(error, 0.0)]
-        for own in rows.split(BATCH) if len(rows) else ():
+        for own in rows.split(self.batch) if len(rows) else ():
             beside = self._beside(own)
             x = self.free.encode(take_materials(self.values, beside.flatten())).unflatten(0, beside.shape)
             here, objective = take_materials(self.values, own), self._objective(own)
@@ -235,7 +251,7 @@ class _TileFit:
     def _finish(self) -> None:
         """In float64 where a fit has not converged: in float32 the end of a flat valley is not seen."""
         rows = self.good[(self.status[self.good] != TexelStatus.CONVERGED) & self.error[self.good].isfinite()]
-        for own in rows.split(BATCH) if len(rows) else ():
+        for own in rows.split(self.batch) if len(rows) else ():
             here = {name: value.double() for name, value in take_materials(self.values, own).items()}
             values, found = self._solve(self._objective(own, torch.float64), here, most=LONGER)
             self._keep(own, values, found, 1 + RESOLUTION)
@@ -268,17 +284,22 @@ class _TileFit:
             x[self.good] = self.free.encode(take_materials(self.values, self.good))
             mean, count = neighbours(x.unflatten(0, self.shape))
             found = [
-                smoothed_fit(
-                    self._objective(own),
-                    take_materials(self.values, own),
-                    self.free,
-                    [x[own], with_columns(x[own], mean[own], shapes)] if sweep == 0 else [x[own]],
-                    mean[own],
-                    count[own] * self.fit.smoothness,
-                    max_iterations=self.fit.max_iterations,
-                    ftol=FTOL,
+                _here(
+                    smoothed_fit(
+                        self._objective(own),
+                        self._there(take_materials(self.values, own)),
+                        self.free,
+                        [
+                            one.to(self.fit.device)
+                            for one in ([x[own], with_columns(x[own], mean[own], shapes)] if sweep == 0 else [x[own]])
+                        ],
+                        mean[own].to(self.fit.device),
+                        (count[own] * self.fit.smoothness).to(self.fit.device),
+                        max_iterations=self.fit.max_iterations,
+                        ftol=FTOL,
+                    )
                 )
-                for own in self.good.split(BATCH)
+                for own in self.good.split(self.batch)
             ]
             for name, value in self._decoded(torch.cat([one.x for one in found])).items():
                 self.values[name][self.good] = value.flatten(1)
@@ -295,9 +316,15 @@ class _TileFit:
     def _solve(
         self, objective: GaussNewtonObjective, start: ParameterDict, materials: Tensor | None = None, most: int = 1
     ) -> tuple[ParameterDict, Solution]:
-        return levenberg_marquardt_fit(
-            objective, start, self.free, max_iterations=most * self.fit.max_iterations, materials=materials, ftol=FTOL
+        values, found = levenberg_marquardt_fit(
+            objective,
+            self._there(start),
+            self.free,
+            max_iterations=most * self.fit.max_iterations,
+            materials=materials,
+            ftol=FTOL,
         )
+        return {name: value.cpu() for name, value in values.items()}, _here(found)
 
     def _keep(self, rows: Tensor, values: ParameterDict, found: Solution, within: float = 1.0) -> None:
         """Take over fits where they are better than what there is, or within so many times its error."""
@@ -348,34 +375,19 @@ def map_sizes(model: Lobe) -> dict[str, int]:
     return {name: specs[full].size for full, name in names.items()} | {"error": 1, "status": 1}
 
 
-def coarse_texels(good: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Of every cell of the coarse grid the texel next to its middle that can be fitted, if one can."""
-    rows, columns = good // shape[1], good % shape[1]
-    cell = rows // STEP * (-(-shape[1] // STEP)) + columns // STEP
-    middle = (STEP - 1) / 2
-    away = (rows % STEP - middle).square() + (columns % STEP - middle).square()
-    order = np.lexsort((away.numpy(), cell.numpy()))
-    _, first = np.unique(cell.numpy()[order], return_index=True)
-    return good[torch.from_numpy(order[first])]
+def batch_size(device: str, numbers: int) -> int:
+    """How many texels are solved together.
+
+    Args:
+        device: where.
+        numbers: that a texel has, of all lights and channels.
+    """
+    return BATCH if torch.device(device).type == "cpu" else max(BATCH, GPU_NUMBERS // max(numbers, 1))
 
 
-def neighbours(x: Tensor) -> tuple[Tensor, Tensor]:
-    """The mean of the four texels beside each, `(M, P)`, of maps `(h, w, P)` with NaN, and how many there are."""
-    wide = torch.nn.functional.pad(x, (0, 0, 1, 1, 1, 1), value=torch.nan)
-    beside = torch.stack([wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]])
-    count = beside[..., 0].isfinite().sum(0).double()
-    return beside.nanmean(0).nan_to_num().flatten(0, 1), count.flatten()
-
-
-def with_columns(x: Tensor, other: Tensor, columns: Tensor) -> Tensor:
-    """`(m, P)` with some columns of another."""
-    found = x.clone()
-    found[:, columns] = other[:, columns]
-    return found
-
-
-def _places(rows: Tensor, shape: tuple[int, int]) -> Tensor:
-    return torch.stack([rows // shape[1], rows % shape[1]], -1).float()
+def _here(found: Solution) -> Solution:
+    """A solution on the CPU."""
+    return Solution(found.x.cpu(), found.value.cpu(), found.status, found.iterations.cpu())
 
 
 def _some(found: Solution, rows: Tensor) -> Solution:

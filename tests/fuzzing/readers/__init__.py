@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fuzzing.changes import Change
 
-MODULES = ("measured", "tables", "pictures", "people", "runs")
+MODULES = ("measured", "tables", "pictures", "people", "runs", "texels")
 
 
 @dataclass(frozen=True)
@@ -54,4 +54,5 @@ NAMES = (
     *("study", "png", "store", "answers", "opinions", "jod", "ratings", "triplets", "discrimination", "published"),
     *("mat", "factors", "trainings", "distances", "cache", "recipe", "asked", "asked-fits", "settings", "lights"),
     *("fourier", "fourier-gz", "klems", "lighttools", "mbsdf", "speos", "speos-binary", "speos-brdf", "tensor-tree"),
+    "stack",
 )
