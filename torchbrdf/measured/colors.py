@@ -31,7 +31,7 @@ def weights_of(channels: int, wavelengths: Sequence[float] | None, illuminant: s
     """
     if wavelengths is None and channels > 1:
         found = bands_in_words(channels, None)
-        raise DataError(f"{where}: expected wavelengths, to make colours of, found {found}; bands can be kept (keep)")
+        raise DataError(f"{where}: expected wavelengths, to make colours of, found {found}; --bands keep needs none")
     return torch.from_numpy(rgb_weights(wavelengths or [0.0], illuminant))
 
 
@@ -73,6 +73,11 @@ class InColors(BrdfFormat):
     def settings(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
         """As the other format has them."""
         return self.source.settings
+
+    @property
+    def told(self) -> Mapping[str, str]:  # type: ignore[override]
+        """As the other format was."""
+        return self.source.told
 
     @property
     def is_scattered(self) -> bool:

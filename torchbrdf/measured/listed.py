@@ -28,6 +28,7 @@ from torchbrdf.measured.bands import (
 )
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
 from torchbrdf.measured.grain import GRAINS, Grain, grain_of
+from torchbrdf.measured.notices import notice
 from torchbrdf.measured.summary import repeated, summary
 from torchbrdf.pairs import Pairs
 
@@ -59,6 +60,8 @@ class Listed:
         wavelengths: Of the bands, nm, growing, W; None for linear RGB.
         quantity: What the values are, one of `QUANTITIES`.
         facts: What else the file, or how it was read, has to say, by name.
+        grain: One of `GRAINS`: whether the file says that it is of an anisotropic material.
+        table: What values are interpolated in, of formats that hold one.
     """
 
     angles: np.ndarray
@@ -66,6 +69,8 @@ class Listed:
     wavelengths: Sequence[float] | None
     quantity: str = "brdf"
     facts: Mapping[str, object] = field(default_factory=dict)
+    grain: str = GRAINS[0]
+    table: Any = None
 
     def directions(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors to the light and to the viewer, `(N, 3)`."""
@@ -73,8 +78,8 @@ class Listed:
         return direction(theta_i, phi_i), direction(theta_o, phi_o)
 
 
-class _Opened(NamedTuple):
-    """What was read of one file: directions, values and validity of N samples, facts, and wavelengths of bands."""
+class Opened(NamedTuple):
+    """What was read of one file: directions, values and validity of N samples, facts, and the rest."""
 
     wi: Tensor
     wo: Tensor
@@ -83,6 +88,7 @@ class _Opened(NamedTuple):
     facts: dict[str, object]
     wavelengths: tuple[float, ...] | None
     grain: Grain
+    table: Any
 
 
 class ListedFormat(BrdfFormat):
@@ -98,17 +104,34 @@ class ListedFormat(BrdfFormat):
     """
 
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
+    is_joined: ClassVar[bool] = True
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self.paths = list(paths)
         self.names = [path.stem for path in paths]
         self.told = dict(settings or {})
-        self._read = [self._opened(path) for path in paths]
-        self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
-        check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
-        self.is_anisotropic = any(one.grain.is_there for one in self._read)
+        self._take([self._opened(path) for path in paths])
 
-    def _opened(self, path: Path) -> _Opened:
+    def _take(self, read: list[Opened]) -> None:
+        """Be the format of what was read of the files."""
+        self._read = read
+        self.channels, self.wavelengths = read[0].values.shape[1], read[0].wavelengths
+        check_same_bands(self.paths, [(one.values.shape[1], one.wavelengths) for one in read])
+        self.is_anisotropic = any(map(self.has_grain, range(len(read))))
+
+    @classmethod
+    def joined(cls, sources: Sequence[BrdfFormat]) -> BrdfFormat:
+        """One source of several, whose files are not read again."""
+        if len(sources) == 1:
+            return sources[0]
+        found = cls.__new__(cls)
+        found.paths = [path for one in sources for path in one.paths]
+        found.names = [name for one in sources for name in one.names]
+        found.told = dict(sources[0].told)
+        found._take([read for one in sources if isinstance(one, ListedFormat) for read in one._read])
+        return found
+
+    def _opened(self, path: Path) -> Opened:
         listed = self.parse(path)
         if not len(listed.values):
             raise DataError(f"{path}: expected samples, found none")
@@ -118,9 +141,10 @@ class ListedFormat(BrdfFormat):
             one[np.abs(one[:, 2]) <= LEAST_COSINE, 2] = 0
         with np.errstate(invalid="ignore"):
             values *= _factor(listed.quantity, wo[:, 2])[:, None]
-            valid = (np.minimum(wi[:, 2], wo[:, 2]) > 0) & (np.abs(values) <= LARGEST_VALUE).all(1)
-        if not valid.any():
             above = np.minimum(wi[:, 2], wo[:, 2]) > 0
+            valid = above & (np.abs(values) <= LARGEST_VALUE).all(1)
+            large = above & (np.abs(values) > LARGEST_VALUE).any(1)
+        if not valid.any():
             if above.any():
                 expected = f"expected values up to {LARGEST_VALUE:g} / sr, found"
                 finite = np.abs(values[above])[np.isfinite(values[above])]
@@ -129,11 +153,16 @@ class ListedFormat(BrdfFormat):
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         if again := repeated(wi[valid], wo[valid], values[valid]):
             facts["repeated directions"] = again
-            log.warning("torchbrdf: %s: repeated directions: %s", path, again)
+            notice(path, f"repeated directions: {again}")
+        if large.any():
+            facts["left out"] = f"{int(large.sum())} of {len(valid)} samples: values above {LARGEST_VALUE:g} / sr"
+            notice(path, f"left out: {facts['left out']}")
         values[~valid] = 0
-        grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), self.setting("grain", GRAINS[0]))
+        told = self.setting("grain", GRAINS[0])
+        own = listed.grain if told == GRAINS[0] else told
+        grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), own)
         toward, seen, found, good = map(torch.from_numpy, (wi, wo, values, valid))
-        return _Opened(toward, seen, found, good, facts | grain.facts, wavelengths, grain)
+        return Opened(toward, seen, found, good, facts | grain.facts, wavelengths, grain, listed.table)
 
     def _in_colors(self, listed: Listed) -> tuple[np.ndarray, str, tuple[float, ...] | None]:
         """Values as linear RGB, or in bands, how they became so, and the wavelengths of bands."""

@@ -184,7 +184,9 @@ class Measured:
         """
         if not self.is_rgb:
             found = bands_in_words(self.channels, self.wavelengths)
-            raise DataError(f"{who}: expected linear RGB, found {found}: {', '.join(self.names[:3])}; see to_rgb")
+            raise DataError(
+                f"{who}: expected linear RGB, found {found}: {', '.join(self.names[:3])}; --bands rgb, or to_rgb()"
+            )
 
     @property
     def stand_in(self) -> bool:

@@ -100,7 +100,7 @@ def noise_of(measured: Measured) -> Noise | None:
         True
     """
     source = measured.source
-    if not source.is_sampled or source.stand_in or getattr(source, "is_anisotropic", False):
+    if not source.is_sampled or source.stand_in or source.is_anisotropic:
         return None
     found = _in_table(measured) if len(measured.pairs) > _TABLE else _scattered(measured)
     return None if found is None else _told(found)
