@@ -89,7 +89,14 @@ def test_another_lobe_is_refitted_with_its_grain(tmp_path: Path) -> None:
     assert plugin.get("bsdf_1", plugin)["alpha_u"] == pytest.approx(0.3, rel=0.1)
 
 
-@pytest.mark.parametrize("to", ["merl", "rgl", "brdf", "pbrt"])
+@pytest.mark.parametrize("to", ["merl", "rgl"])
+def test_isotropic_tables_have_its_mean_over_azimuths(to: str, tmp_path: Path) -> None:
+    done = export(metal(), to, tmp_path, name="brushed")
+    assert not done.exact and not done.shown.is_anisotropic
+    assert done.notes[0] == "the grain is left out: an isotropic table, of the mean over 12 azimuths of the surface"
+
+
+@pytest.mark.parametrize("to", ["brdf", "pbrt"])
 def test_tables_have_no_room_for_it(to: str, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=rf"^brushed: expected an isotropic material for {to}, found one with a grain$"):
         export(metal(), to, tmp_path, name="brushed")

@@ -38,6 +38,8 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
     """
     check_single(brdf)
     check_rgb(brdf, "a table")
+    if isinstance(brdf, Lobe) and brdf.is_anisotropic and not pairs.is_oriented:
+        raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
     found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
     own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
     device = None if own is None else own.device
@@ -66,14 +68,12 @@ def check_rgb(brdf: Brdf, who: str) -> None:
 
 def check_single(brdf: Brdf) -> None:
     """Refuse what is not one material."""
-    if isinstance(brdf, Lobe) and brdf.is_anisotropic:
-        raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
     if isinstance(brdf, Measured):
         count = len(brdf)
     elif isinstance(brdf, Lobe):
         up = torch.ones(1, 1, dtype=torch.float64, device="cpu")
         own = next(brdf.parameters(), up)
-        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up).to(own.device)))
+        count = len(brdf(Pairs.from_half_diff(0 * up, 0 * up, 0 * up, 0 * up).to(own.device)))
     else:
         raise UsageError(f"a table: expected a lobe or a Measured, found {shown(brdf)}")
     if count != 1:
