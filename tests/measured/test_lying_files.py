@@ -9,7 +9,7 @@ from helpers.listed_files import alta, angles, astm, columns, cornell, ssdd, zem
 from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf.errors import DataError
-from torchbrdf.measured import describe, load
+from torchbrdf.measured import FORMATS, describe, load
 from torchbrdf.measured.find import find_files
 
 
@@ -149,3 +149,28 @@ def test_a_folder_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert sorted(looked) == sorted(tmp_path.iterdir())
     (tmp_path / "a.dat").write_text(columns())
     assert load(tmp_path / "a.dat").values.isfinite().all()
+
+
+@pytest.mark.parametrize("name", ["x.astm", "x.bsdf", "x.csv"])
+def test_text_in_utf_16_is_said_to_be_that(name: str, tmp_path: Path) -> None:
+    text = {"x.astm": astm(), "x.bsdf": zemax(), "x.csv": columns()}[name]
+    assert refused(tmp_path / name, text.encode("utf-16")).endswith(
+        "text in UTF-16, or nothing known: save it as UTF-8"
+    )
+
+
+def test_repetitions_with_the_same_values_are_no_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "twice.csv"
+    text = columns()
+    path.write_text(text + "\n".join(text.splitlines()[2:]) + "\n")
+    plain = tmp_path / "once.csv"
+    plain.write_text(text)
+    said = f"{2 * len(angles())} samples at {len(angles())} places, with the same values"
+    assert describe(path)["repeated directions"] == said and "repeated" not in caplog.text
+    pairs = load(plain).pairs
+    assert torch.equal(load(path).at(pairs), load(plain).at(pairs))
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_every_format_says_what_it_was_told(name: str) -> None:
+    assert FORMATS[name].told == {}

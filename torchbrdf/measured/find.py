@@ -18,6 +18,7 @@ log = logging.getLogger("torchbrdf")
 # What commands write beside fits, and pictures of any kind, which nobody takes for measurements.
 _WRITTEN = ("fits.csv", "materials.json", "recipe.json", "study.json", "match.json", "check.json", "log.txt")
 _PICTURES = (".png", ".jpg", ".exr", ".hdr", ".html", ".pdf", ".svg")
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
@@ -48,6 +49,8 @@ def _format_of(path: Path, head: bytes) -> str | None:
     for name, source in sorted(FORMATS.items(), key=lambda item: not _ours(item[1])):  # ours before others'
         if head and _recognises(name, source, path, head):
             return name
+    if head.startswith(_UTF_16):
+        return None
     by_suffix = (name for name, source in FORMATS.items() if path.suffix.lower() in source.suffixes)
     return next((name for name in by_suffix if FORMATS[name].is_text or not is_text(head)), None)
 
@@ -97,7 +100,9 @@ def _expect_format(path: Path) -> str:
     if not head:
         raise DataError(f"{path}: the file is empty; expected a measured BRDF ({_known()})")
     if name is None:
-        hints = (source.hint(path, head) for source in FORMATS.values() if _ours(source))
+        hints = [source.hint(path, head) for source in FORMATS.values() if _ours(source)]
+        if head.startswith(_UTF_16):
+            hints = ["text in UTF-16, or nothing known: save it as UTF-8"]
         found = next(filter(None, hints), f"a file that begins with {head[:12]!r}")
         raise DataError(f"{path}: expected a measured BRDF ({_known()}), found {found}")
     return name

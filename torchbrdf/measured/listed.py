@@ -29,7 +29,7 @@ from torchbrdf.measured.bands import (
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
 from torchbrdf.measured.grain import GRAINS, Grain, grain_of
 from torchbrdf.measured.notices import notice
-from torchbrdf.measured.summary import repeated, summary
+from torchbrdf.measured.summary import ALIKE, repeated, summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -153,7 +153,8 @@ class ListedFormat(BrdfFormat):
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         if again := repeated(wi[valid], wo[valid], values[valid]):
             facts["repeated directions"] = again
-            notice(path, f"repeated directions: {again}")
+            if not again.endswith(ALIKE):
+                notice(path, f"repeated directions: {again}")
         if large.any():
             facts["left out"] = f"{int(large.sum())} of {len(valid)} samples: values above {LARGEST_VALUE:g} / sr"
             notice(path, f"left out: {facts['left out']}")

@@ -8,6 +8,8 @@ from torchbrdf.measured.scattered import tree_of
 _SAME, _STEP = 0.05, 0.1
 # Degrees within which directions are the same ones again; a share of the value that is rounding.
 _REPEATED, _ROUNDING = 1e-3, 1e-5
+ALIKE = "with the same values"
+"""What is said of repetitions that change nothing."""
 # A list of angles that is longer is said by its ends.
 _FEW = 12
 
@@ -48,7 +50,7 @@ def summary(
 
 
 def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
-    """What there is to say of samples at the same directions with other values; "" where there are none.
+    """What there is to say of samples at the same directions, and whether values are others; "" where there are none.
 
     Args:
         wi: Unit vectors to the light, `(N, 3)`.
@@ -68,7 +70,7 @@ def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
     apart = (-ends[1] - ends[0]).max(1) / np.maximum(level, 1e-30)
     other = several & (apart > _ROUNDING)
     if not other.any():
-        return ""
+        return f"{int(count[several].sum())} samples at {int(several.sum())} places, {ALIKE}"
     half, most = (100 * float(one(apart[other])) for one in (np.median, np.max))
     size = f"half of them {half:.2g} % apart or more, at most {most:.2g} %"
     return f"{int(count[other].sum())} samples at {int(other.sum())} places, {size}; interpolated by their means"
