@@ -88,7 +88,7 @@ def _fits(
         try:
             yield replace(material_of(record, name.rstrip("-"), settings), files=(path,))
         except TorchbrdfError as error:
-            bad.append(error)
+            bad.append(error if str(path) in str(error) else type(error)(f"{path}: {error}"))
 
 
 def _tables(

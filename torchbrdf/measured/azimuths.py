@@ -37,13 +37,17 @@ class AzimuthMean(BrdfFormat):
     """
 
     format = "azimuth_mean"
-    on_merl_bins = True
     is_sampled = False
 
     def __init__(self, brdf: Brdf, name: str) -> None:
         self.brdf, self.names, self.paths = brdf, [name], []
         self.stand_in = not isinstance(brdf, Measured) or brdf.stand_in
         self.pairs = bin_centers()
+
+    @property
+    def is_reciprocal(self) -> bool:  # type: ignore[override]
+        """As what they are of is."""
+        return isinstance(self.brdf, Measured) and self.brdf.source.is_reciprocal
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

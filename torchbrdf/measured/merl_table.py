@@ -48,7 +48,7 @@ def merl_values(brdf: Brdf) -> Tensor:
     brdf = without_grain(brdf)
     pairs, above = bin_centers(), above_horizon()
     found = values_at(brdf, pairs)
-    if not (isinstance(brdf, Measured) and brdf.on_merl_bins):
+    if not (isinstance(brdf, Measured) and (brdf.on_merl_bins or brdf.source.is_reciprocal)):
         found = (found + values_at(brdf, Pairs.from_directions(pairs.wo, pairs.wi))) / 2
     values = torch.full((above.size, 3), torch.nan, dtype=torch.float64, device="cpu")
     values[torch.from_numpy(above)] = found.clamp_max(LARGEST_ENTRY * min(CHANNEL_SCALES))
