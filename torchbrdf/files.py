@@ -77,8 +77,8 @@ def noting_replaced() -> Iterator[list[Path]]:
         >>> with noting_replaced() as replaced:
         ...     write_text("new.txt", "a")
         ...     write_text("new.txt", "b")
-        >>> replaced
-        [PosixPath('new.txt')]
+        >>> [path.name for path in replaced]
+        ['new.txt']
     """
     found: list[Path] = []
     before = len(_replaced)

@@ -62,6 +62,9 @@ class InBands:
             UsageError: There is no such illuminant.
 
         Example:
+            >>> import torch
+            >>> from torchbrdf import Pairs
+            >>> from torchbrdf.measured import Measured
             >>> angle = torch.tensor([[0.1, 0.2]])
             >>> pairs = Pairs.from_half_diff(angle, angle, angle)
             >>> grey = Measured.from_samples(pairs, torch.ones(1, 2, 31), wavelengths=range(400, 710, 10))
