@@ -67,9 +67,12 @@ class AzimuthMean(BrdfFormat):
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Means at any pairs."""
         rows = pairs.to("cpu", torch.float64)
-        found = sum(values_at(self.brdf, one) for one in _turned(rows)) / TURNS
+        first, *others = _turned(rows)
+        found = values_at(self.brdf, first)
+        for one in others:
+            found += values_at(self.brdf, one)
         filled = torch.zeros(1, dtype=torch.int64, device=pairs.device)
-        return Lookup(torch.as_tensor(found).to(pairs.cos_i)[None], filled)
+        return Lookup((found / TURNS).to(pairs.cos_i)[None], filled)
 
     def distance_at(self, pairs: Pairs, materials: list[int]) -> Tensor:
         """How far the nearest sample is, of all azimuths the mean."""
