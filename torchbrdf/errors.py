@@ -1,6 +1,8 @@
 """What torchbrdf raises: every message says what, where, expected and found, in one line; and so does the log."""
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 # So that a message fits into a terminal's few lines whatever a file holds.
 LONGEST_MESSAGE = 300
@@ -93,3 +95,28 @@ def _in_one_line(record: logging.LogRecord) -> bool:
 
 
 logging.getLogger("torchbrdf").addFilter(_in_one_line)
+
+
+@contextmanager
+def said_once() -> Iterator[None]:
+    """Within, the log says the same line once.
+
+    Example:
+        >>> with said_once():
+        ...     logging.getLogger("torchbrdf").warning("twice")
+        ...     logging.getLogger("torchbrdf").warning("twice")
+    """
+    said: set[str] = set()
+
+    def not_yet(record: logging.LogRecord) -> bool:
+        line = one_line(record.getMessage(), LONGEST_WARNING)
+        is_new = line not in said
+        said.add(line)
+        return is_new
+
+    logger = logging.getLogger("torchbrdf")
+    logger.addFilter(not_yet)
+    try:
+        yield
+    finally:
+        logger.removeFilter(not_yet)

@@ -31,6 +31,7 @@ LOCK = ".lock"
 """The file, in a folder, that whoever writes there holds locked."""
 
 _live: set[str] = set()  # temporary files and locks of this process
+_replaced: list[Path] = []  # files that were there before
 _swept: set[Path] = set()  # folders that it has looked for leftovers in
 
 
@@ -55,13 +56,37 @@ def replacing(path: Path | str) -> Iterator[Path]:
         remove_leftovers(target.parent)
         temporary.touch()
         yield temporary
+        was_there = target.name not in _live and target.exists()
         temporary.replace(target)
+        if was_there:
+            _replaced.append(path)
     except (OSError, RuntimeError) as error:  # OpenEXR and torch have no other words for a full disk
         raise DataError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
     finally:
         _live.discard(temporary.name)
         with suppress(OSError):  # the folder is no folder, or gone
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def noting_replaced() -> Iterator[list[Path]]:
+    """A list that has, at the end of the block, the files that were there before and were replaced within it.
+
+    Example:
+        >>> from torchbrdf.files import noting_replaced, write_text
+        >>> with noting_replaced() as replaced:
+        ...     write_text("new.txt", "a")
+        ...     write_text("new.txt", "b")
+        >>> [path.name for path in replaced]
+        ['new.txt']
+    """
+    found: list[Path] = []
+    before = len(_replaced)
+    try:
+        yield found
+    finally:
+        found += dict.fromkeys(_replaced[before:])
+        del _replaced[before:]
 
 
 def destination(path: Path | str) -> Path:

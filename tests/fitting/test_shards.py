@@ -254,7 +254,7 @@ def test_what_is_fitted_on_a_device_is_opened_there_and_one_block_after_the_othe
     seen = []
 
     def fitted(work, block):
-        measured = block.group.opened([])
+        (measured,) = block.group.opened([])
         seen.append((measured.device.type, measured.values.device.type, measured.pairs.cos_i.device.type))
         return Fitted([], [])
 

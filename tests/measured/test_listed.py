@@ -193,7 +193,7 @@ def test_bad_astm_files_are_refused(kind, tmp_path):
         (fred() + "5 9\n", "expected rows of this light behind it, found none"),
         (fred() + "1 2 3 4\n", "expected two angles of a light, or a row of 3"),
         (columns().replace("phi", "chi"), "expected a column phi, or phi_i and phi_o"),
-        (columns().replace("r,g,b", "x,y,z"), "expected r, g, b, or bands such as 465nm, or f"),
+        (columns().replace("r,g,b", "x,y,z"), "expected r, g, b, or bands such as 465nm, which"),
         (columns().replace("r,g,b", "r,g,g"), "expected each column once"),
         (bird().replace('"sr^-1"', '"%"'), "expected angles in"),
         (bird().replace('"theta_r"', '"theta_x"'), "theta_r"),

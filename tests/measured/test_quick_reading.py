@@ -171,12 +171,12 @@ def test_repeated_directions_are_never_passed_over():
 
 
 def test_each_file_is_looked_at_once_while_files_are_listed(tmp_path, monkeypatch):
-    module = sys.modules["torchbrdf.measured.load"]  # the package has a function of its name
+    module = sys.modules["torchbrdf.measured.find"]
     for k in range(60):
         _write(tmp_path, f"m{k:02d}", np.linspace(0, 1, 4), np.ones(4), ".npz")
     (tmp_path / "notes.txt").write_text("nothing")
     looked, compared = [], []
-    monkeypatch.setattr(module, "format_of", lambda path, inner=module.format_of: looked.append(path) or inner(path))
+    monkeypatch.setattr(module, "_head", lambda path, inner=module._head: looked.append(path) or inner(path))
     equal = Path.__eq__
     monkeypatch.setattr(Path, "__eq__", lambda a, b: compared.append(1) or equal(a, b))
     (group,) = load_later([tmp_path, tmp_path / "m03.npz"])

@@ -32,9 +32,15 @@ def pairs_of(count):
         ("r;g;b\n1;2;3\n", "found columns 'r g b' without theta_i, theta_o"),
         ("theta_in,theta_out,phi,r,g,b\n", "without theta_i, theta_o"),
         ("angle,value\n1,2\n", "found columns 'angle value' without theta_i, theta_o"),
-        ("theta_i,theta_o,phi,x,y\n0,0,0,1,1\n", "expected r, g, b, or bands such as 465nm, or f, found 'x y'"),
+        (
+            "theta_i,theta_o,phi,x,y\n0,0,0,1,1\n",
+            "expected r, g, b, or bands such as 465nm, which names their wavelengths, or f, found 'x y'",
+        ),
         ("theta_i,theta_o,r,g,b\n0,0,0,1,1\n", "expected a column phi, or phi_i and phi_o, found"),
-        ("theta_i,theta_o,phi\n0,0,0\n", "expected r, g, b, or bands such as 465nm, or f, found ''"),
+        (
+            "theta_i,theta_o,phi\n0,0,0\n",
+            "expected r, g, b, or bands such as 465nm, which names their wavelengths, or f, found ''",
+        ),
     ],
 )
 def test_a_table_that_lacks_columns_says_which(text, found, tmp_path):
@@ -62,11 +68,14 @@ def test_files_of_a_folder_that_are_passed_over_are_said(tmp_path, caplog):
     (tmp_path / "picture.png").write_bytes(b"png")
     with caplog.at_level(logging.WARNING, "torchbrdf"):
         assert load(tmp_path).names == ["whole"]
-    assert "passed over 2 files of no known format: notes.txt, ..." in caplog.text
+    expected = "passed over 3 files: 2 of no known format (notes.txt, ...), 1 pictures or pages (picture.png)"
+    assert expected in caplog.text
     caplog.clear()
     (tmp_path / "notes.txt").unlink()
+    (tmp_path / "picture.png").unlink()
+    (tmp_path / "log.txt").write_text("hello")
     load(tmp_path)
-    assert "passed over 1 file of no known format: other.npz" in caplog.text
+    assert "passed over 2 files: 1 of no known format (other.npz), 1 that a command wrote (log.txt)" in caplog.text
 
 
 def test_a_folder_of_fits_passes_over_what_commands_wrote(tmp_path, caplog):
@@ -99,7 +108,7 @@ def test_repeated_directions_are_said(tmp_path, caplog):
     assert said.startswith("2 samples at 1 places, half of them 18 % apart or more, at most 18 %")
     assert f"{path}: repeated directions: {said}" in caplog.text
     path.write_text("\n".join([*rows, rows[12]]))
-    assert "repeated directions" not in describe(path)
+    assert describe(path)["repeated directions"] == "2 samples at 1 places, with the same values"
 
 
 def test_angles_in_the_wrong_unit_are_doubted(tmp_path, caplog):

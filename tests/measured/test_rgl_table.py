@@ -10,6 +10,7 @@ from helpers.directions import hemisphere
 from helpers.measured_files import read_bsdf, synthetic_raw, write_raw_merl
 
 from torchbrdf.errors import DataError, UsageError
+from torchbrdf.export.convert import compared_pairs
 from torchbrdf.lobes import GGX, Charlie, Lambert, Lobe, Sum, Ward
 from torchbrdf.lobes import LOBES as LOBE_KINDS
 from torchbrdf.measured import Measured, load, write_rgl
@@ -111,9 +112,21 @@ def test_every_lobe_as_it_starts(tmp_path: Path, kind: str) -> None:
     assert off.sum() < 0.03 * (expected.abs().sum(-1) * pairs.cos_o[0]).sum()
 
 
-def test_a_lobe_with_a_grain_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"^a table: expected an isotropic material, found a lobe with a grain"):
-        write_rgl(tmp_path / "x.bsdf", LOBE_KINDS["ggx_anisotropic"]())
+def test_of_a_grain_there_is_the_mean_over_azimuths(tmp_path: Path) -> None:
+    brushed = LOBE_KINDS["ggx_anisotropic"](roughness_x=0.2, roughness_y=0.5)
+    write_rgl(tmp_path / "x.bsdf", brushed)
+    pairs = compared_pairs(300)
+    turns = np.radians(np.arange(0, 360, 5))
+    with torch.no_grad():
+        every = [brushed(Pairs.from_directions(*(_about(way, turn) for way in (pairs.wi, pairs.wo)))) for turn in turns]
+    mean = torch.stack(every).mean(0)
+    off = ((load(tmp_path / "x.bsdf", dtype=torch.float64).at(pairs) - mean).abs() / mean).median()
+    assert off < 0.01
+
+
+def _about(way: torch.Tensor, turn: float) -> torch.Tensor:
+    cos, sin = np.cos(turn), np.sin(turn)
+    return way @ torch.tensor([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]], dtype=way.dtype)
 
 
 def test_what_is_not_finite_or_beyond_all_measure_does_not_spread(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from helpers.table_files import (
 
 from torchbrdf.errors import DataError
 from torchbrdf.measured import describe
-from torchbrdf.measured.load import format_of
+from torchbrdf.measured.find import format_of
 
 KLEMS = klems()
 

@@ -93,8 +93,11 @@ def test_numbers_and_words(small: dict[str, Scene]) -> None:
     )
     lines = found.lines()
     assert (
-        lines[0] == "reference: a model" and lines[2].startswith("a model") and "where they differ most:" in lines[-4]
+        lines[0] == "reference: a model" and lines[2].startswith("a model") and "where they differ most:" in lines[-2]
     )
+    assert same.is_same and not same.places and not dull.is_same
+    assert lines[-1].strip() == "Nowhere: the same values at all of these directions."
+    assert sum("of the reference" in line for line in lines) == 3
     plain = json.loads(json.dumps(found.to_dict()))
     assert plain["others"][0]["scenes"]["ball"]["delta_e76"] == pytest.approx(dull.figures["ball"].delta_e76)
 

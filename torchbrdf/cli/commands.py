@@ -4,7 +4,9 @@ import io
 import os
 import sys
 import warnings
+from collections.abc import Sequence
 from contextlib import nullcontext
+from pathlib import Path
 
 from torchbrdf import __version__, memory
 from torchbrdf.cli import (
@@ -26,8 +28,8 @@ from torchbrdf.cli import (
 from torchbrdf.cli.common import Options, Parser, described
 from torchbrdf.cli.progress import reporting
 from torchbrdf.cli.signals import GRACE, ending
-from torchbrdf.errors import TorchbrdfError, UsageError, one_line
-from torchbrdf.files import without_empty_folders
+from torchbrdf.errors import TorchbrdfError, UsageError, one_line, printable, said_once
+from torchbrdf.files import noting_replaced, without_empty_folders
 
 DESCRIPTION = """\
 Fit BRDF models to measured materials, and measure which error metric gives the fit that looks right.
@@ -52,6 +54,10 @@ Fit BRDF models to measured materials, and measure which error metric gives the 
 COMMANDS = (run, match, fit, collect, texels, render, view, compare, export, convert, info, check, score, study)
 
 
+# Whose files are what somebody asked for by name; other commands keep folders of their own, which they go on with.
+WRITERS = (render, view, compare, export, convert, check)
+
+
 def build_parser() -> Parser:
     """The parser of the whole command line."""
     parser = described(Parser(prog="torchbrdf"), DESCRIPTION)
@@ -70,9 +76,12 @@ def perform(options: Options) -> int:
     # A server ends its answers first, and says how many there are.
     patient = options.command.__module__ == study.__name__
     quiet = options.command is study.serve_command
+    replaced: list[Path] = []
     try:
         with (
+            noting_replaced() as replaced,
             nullcontext() if patient else ending(GRACE),
+            nullcontext() if quiet else said_once(),
             nullcontext() if quiet else reporting(),
             without_empty_folders(),
             memory.limited(getattr(options, "memory", None)),
@@ -89,6 +98,16 @@ def perform(options: Options) -> int:
     except (TorchbrdfError, OSError) as error:
         print(f"torchbrdf: {one_line(str(error))}", file=sys.stderr)
         return 1
+    finally:
+        if replaced and options.command.__module__ in [command.__name__ for command in WRITERS]:
+            _say_replaced(replaced)
+
+
+def _say_replaced(files: Sequence[Path]) -> None:
+    """Say which files were there, and are others now."""
+    count = "1 file that was there" if len(files) == 1 else f"{len(files)} files that were there"
+    rest = ", ..." if len(files) > 3 else ""
+    print(f"torchbrdf: replaced {count}: {printable(', '.join(map(str, files[:3])))}{rest}", file=sys.stderr)
 
 
 def make_streams_safe() -> None:

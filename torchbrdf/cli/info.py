@@ -56,7 +56,7 @@ def command(options: Options) -> int:
     if not (options.system or options.zoo):
         check_files(options.files)
     from torchbrdf.measured import describe
-    from torchbrdf.measured.load import find_files
+    from torchbrdf.measured.find import find_files
 
     if not (options.files or options.system or options.zoo):
         raise UsageError("info: expected files, --zoo or --system")

@@ -105,12 +105,14 @@ class Found:
         statuses: How fits ended, of all.
         seconds: Of work on those that were made now.
         made: How many were made now.
+        judged: How many observers would tell those from their materials, by these; asked where they were made.
     """
 
     records: list["FitRecord"] = field(default_factory=list)
     statuses: Counter[str] = field(default_factory=Counter)
     seconds: float = 0.0
     made: int = 0
+    judged: dict[str, "Share | None"] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -119,20 +121,19 @@ class Found:
 
     def shares(self, groups: Sequence["Group"]) -> dict[str, "Share | None"]:
         """How many observers would tell each fit from its material, by the materials' names."""
-        from torchbrdf.experiment.discrimination import shares_of_fits
+        from torchbrdf.experiment.discrimination import shares_by_name
         from torchbrdf.measured import Unopened
 
-        by_name = {record.material: record for record in self.records}
-        found: dict[str, Share | None] = {}
+        # Of fits of before, whose materials nobody has opened yet.
+        by_name = {record.material: record for record in self.records if record.material not in self.judged}
+        found = dict(self.judged)
         for group in groups:
             rows = [k for k, name in enumerate(group.names) if name in by_name]
             if not rows:
                 continue
             part = group.batch(rows)
-            measured = part.opened([]) if isinstance(part, Unopened) else part
-            if measured is not None:
-                own = [by_name[name] for name in measured.names]
-                found |= dict(zip(measured.names, shares_of_fits([measured], own), strict=True))
+            for measured in part.opened([]) if isinstance(part, Unopened) else [part]:
+                found |= shares_by_name(measured, [by_name[name] for name in measured.names])
         return found
 
 
@@ -144,6 +145,10 @@ def fit_all(batches: "Batches", groups: Sequence["Group"], options: Options, pro
     names = [name for group in groups for name in group.names]
     found, bad, complete = Found(), list[DataError](), True
     made: dict[str, FitRecord] = {}
+    if len(names) <= MOST_LINES:  # of which each is said
+        from torchbrdf.experiment.discrimination import shares_by_name
+
+        batches.judge = shares_by_name
     with executor_of(options.executor, options.scheduler) as place:
         for records in batches.fits(groups, progress, executor=place, shard=shard, bad=bad):
             _say_left_out(bad)
@@ -155,6 +160,7 @@ def fit_all(batches: "Batches", groups: Sequence["Group"], options: Options, pro
             if len(names) <= MOST_LINES:
                 made |= {record.material: record for record in records}
     _say_left_out(bad)
+    found.judged = batches.judged
     if options.shard is None:
         batches.write_tables(parquet=options.parquet)
     before = batches.earlier

@@ -1,7 +1,7 @@
 """Two or more materials or fits beside each other: metrics, pictures, and where they differ most."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,8 +16,9 @@ from torchbrdf.experiment.labels import model_label
 from torchbrdf.experiment.matching.judge import Brdf, Figures, Judge, values_of
 from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.losses import LOSSES
-from torchbrdf.measured import FORMATS, Measured, load_all
-from torchbrdf.measured.load import check_settings, grouped
+from torchbrdf.measured import FORMATS, Measured
+from torchbrdf.measured.find import by_format, find_files
+from torchbrdf.measured.load import check_settings, load_groups
 from torchbrdf.measured.standin import all_round
 from torchbrdf.pairs import Pairs
 from torchbrdf.perception import FORMULAS, Share, find_metric, told_apart, uniform_pairs
@@ -27,6 +28,8 @@ from torchbrdf.render import Scene, blob, unseen_scenes
 HIGHLIGHT, GRAZING = 10.0, 65.0
 # Pairs of directions that metrics need at least.
 LEAST = 100
+SAME = 1e-5
+"""Relative differences that are rounding, in single precision."""
 MOST = 128
 """Materials on a page."""
 
@@ -87,7 +90,8 @@ class Compared:
         metrics: Distances from the reference, by the name of a metric; nan where too little was measured of both.
         pairs: How many pairs of directions those are over, of how many.
         figures: Of pictures, by scene.
-        places: Where it differs most.
+        places: Where it differs most; nowhere, where it is the same.
+        is_same: Whether values are the same at all of these pairs, of which there are enough, but for rounding.
     """
 
     subject: Subject
@@ -95,6 +99,13 @@ class Compared:
     pairs: tuple[int, int]
     figures: Mapping[str, Figures]
     places: Sequence[Place] = field(default_factory=list)
+    is_same: bool = False
+
+    @property
+    def where(self) -> list[str]:
+        """Where it differs most, in words."""
+        same = ["Nowhere: the same values at all of these directions."] if self.is_same else []
+        return same or [place.words for place in self.places]
 
     def told(self, metric: str) -> Share | None:
         """The share of observers who would tell it from the reference, by a metric; None where that is not known."""
@@ -127,8 +138,12 @@ def find_subjects(
     """
     groups: list[Measured] = []
     others: dict[int, list[Subject]] = {}
-    told = _told([one for one in sources if isinstance(one, str | os.PathLike)], settings)
-    for source in sources:
+    unread: list[DataError] = []
+    kinds = [
+        by_format(find_files(one, unread), unread) if isinstance(one, str | os.PathLike) else {} for one in sources
+    ]
+    check_settings([name for own in kinds for name in own], settings if any(kinds) else None)
+    for source, own in zip(sources, kinds, strict=True):
         if isinstance(source, Measured):
             groups.append(source)
         elif isinstance(source, FitRecord):
@@ -138,11 +153,10 @@ def find_subjects(
         elif isinstance(source, Lobe):
             others.setdefault(len(groups), []).append(Subject("a model", source))
         elif isinstance(source, str | os.PathLike):
-            unread: list[DataError] = []
-            groups += load_all(source, bad=unread, settings=told[source])
-            bad += unread
+            groups += load_groups(own, unread, settings=_told(own, settings))
         else:
             raise UsageError(f"compare: expected files, materials, fits or lobes, found {shown(source)}")
+    bad += unread
     items = iter(list_items(groups))
     found: list[Subject] = []
     for k, group in enumerate([*groups, None]):
@@ -152,17 +166,10 @@ def find_subjects(
     return found
 
 
-def _told(
-    paths: Sequence[str | os.PathLike[str]], settings: Mapping[str, str] | None
-) -> dict[str | os.PathLike[str], dict[str, str]]:
-    """Of each path the settings that its files take; a UsageError for one that no file takes."""
-    kinds = {path: list(grouped(path, [])) if settings else [] for path in paths}
-    check_settings([name for names in kinds.values() for name in names], settings if any(kinds.values()) else None)
+def _told(kinds: Iterable[str], settings: Mapping[str, str] | None) -> dict[str, str]:
+    """The settings that files of some formats take."""
     return {
-        path: {
-            key: value for key, value in (settings or {}).items() if any(key in FORMATS[name].settings for name in own)
-        }
-        for path, own in kinds.items()
+        key: value for key, value in (settings or {}).items() if any(key in FORMATS[name].settings for name in kinds)
     }
 
 
@@ -185,12 +192,14 @@ def compared(reference: Judge, name: str, subject: Subject, pairs: Pairs | None 
     known = ~(is_extrapolated(reference.measured, pairs) | is_extrapolated(subject.brdf, pairs))
     rows = known.nonzero()[:, 0]
     own = pairs.select(samples=rows), target[:, rows], values[:, rows]
+    is_same = len(rows) >= LEAST and torch.allclose(own[1], own[2], rtol=SAME, atol=0)
     return Compared(
         subject,
         _metrics(*own),
         (len(rows), len(pairs)),
         reference.figures(subject.brdf),
-        _places(*own) if len(rows) else [],
+        _places(*own) if len(rows) and not is_same else [],
+        is_same,
     )
 
 
@@ -224,5 +233,6 @@ def _places(pairs: Pairs, target: Tensor, values: Tensor) -> list[Place]:
         wi, wo = pairs.wi[0, k], pairs.wo[0, k]
         turn = torch.atan2(wi[0] * wo[1] - wi[1] * wo[0], (wi[:2] * wo[:2]).sum()).abs()
         red = tuple(target[0, k].tolist()), tuple(values[0, k].tolist())
-        found.append((float(off[k]), Place(part, float(light[k]), float(viewer[k]), float(turn.rad2deg()), *red)))
+        if float(off[k]) > SAME * float(roots[0].max()):
+            found.append((float(off[k]), Place(part, float(light[k]), float(viewer[k]), float(turn.rad2deg()), *red)))
     return [place for _, place in sorted(found, key=lambda one: -one[0])]

@@ -132,6 +132,18 @@ def shares_of_fits(groups: list[Measured], records: list[FitRecord]) -> list[Sha
     return found
 
 
+def shares_by_name(measured: Measured, records: list[FitRecord]) -> dict[str, Share | None]:
+    """As `shares_of_fits`, by the materials' names.
+
+    Args:
+        measured: The materials.
+        records: Fits of some of them.
+    """
+    rows = {name: row for row, name in enumerate(measured.names)}
+    own = [measured.batch([rows[record.material]]) for record in records]
+    return dict(zip((record.material for record in records), shares_of_fits(own, records), strict=True))
+
+
 def _share(
     known: Discrimination | JustObjectionable, loss: Loss, material: Measured, record: FitRecord, pairs: Pairs
 ) -> Share | None:

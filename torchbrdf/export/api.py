@@ -11,13 +11,15 @@ import torch
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
 from torchbrdf.export.bands import in_rgb
 from torchbrdf.export.base import EXPORTERS, Brdf, Exported, Exporter, Material, refuse_grain
-from torchbrdf.export.tables import reach
+from torchbrdf.export.tables import TableExporter, reach
 from torchbrdf.files import writable
 from torchbrdf.lobes import FitRecord, Lobe, read_fits
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, outside_bounds
 from torchbrdf.measured import Measured, StandIn, load
-from torchbrdf.measured.bands import DEFAULT_ILLUMINANT
-from torchbrdf.measured.load import check_settings, find_files, format_of
+from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, KEEP
+from torchbrdf.measured.find import find_files, format_of
+from torchbrdf.measured.load import check_settings
+from torchbrdf.measured.standin import is_rgb
 from torchbrdf.measured.tables import check_rgb
 from torchbrdf.names import check_name, clean_name
 from torchbrdf.render import Mesh, find_mesh
@@ -106,9 +108,12 @@ def refuse_matches(exporter: Exporter, material: Material, out: str | os.PathLik
 
 def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -> Exported:
     """Write a material by an exporter, but never in the place of the file that it is made of."""
-    if exporter.no_grain:
+    if isinstance(exporter, TableExporter):
+        material = exporter.suited(material)
+    elif exporter.no_grain:
         refuse_grain(material, EXPORTERS.name_of(type(exporter)) or type(exporter).__name__, exporter.no_grain)
-    check_bands(exporter, material)
+    if isinstance(material.brdf, Measured) and not exporter.keeps_bands:
+        material.brdf.check_rgb("export")
     folder = writable(Path(out))
     for suffix in (exporter.suffix, *exporter.beside):
         path = material.path(folder, suffix)
@@ -119,12 +124,6 @@ def write(exporter: Exporter, material: Material, out: str | os.PathLike[str]) -
         done = _written(exporter, material, folder)
     rest = [] if done.exact else reach(material.brdf)
     return replace(done, notes=[*material.notes, *done.notes, *rest])
-
-
-def check_bands(exporter: Exporter, material: Material) -> None:
-    """Refuse bands of a measurement where an exporter writes linear RGB."""
-    if isinstance(material.brdf, Measured) and not exporter.keeps_bands:
-        material.brdf.check_rgb("export")
 
 
 def _written(exporter: Exporter, material: Material, folder: Path) -> Exported:
@@ -164,6 +163,8 @@ def material_of(
         return _of_file(Path(brdf) if os.fspath(brdf) else brdf, name, settings)
     if isinstance(brdf, FitRecord):
         own = brdf.material if name is None else check_name(name, "export: name")
+        if (settings or {}).get("bands") == KEEP and not is_rgb(brdf):
+            return Material(own, Measured(StandIn([brdf], [], settings)))
         shown_as, notes = in_rgb(brdf, (settings or {}).get("illuminant", DEFAULT_ILLUMINANT))
         return Material(own, _checked(shown_as, own) if isinstance(shown_as, Lobe) else shown_as, tuple(notes))
     if isinstance(brdf, Measured):
@@ -174,8 +175,10 @@ def material_of(
         if isinstance(brdf.source, StandIn):  # a model in a measurement's place
             own = brdf.names[0] if name is None else name
             record = brdf.source.records[brdf.materials[0]]
-            return material_of(record, clean_name(own) if name is None else own, brdf.source.told)
-        return Material(clean_name(brdf.names[0]) if name is None else name, brdf.to("cpu"))
+            found = material_of(record, clean_name(own) if name is None else own, brdf.source.told)
+            return replace(found, files=tuple(_files_of(brdf)))
+        own = clean_name(brdf.names[0]) if name is None else name
+        return Material(own, brdf.to("cpu"), files=tuple(_files_of(brdf)))
     if isinstance(brdf, Lobe):
         own = NAMELESS if name is None else check_name(name, "export: name")
         check_rgb(brdf, own)
@@ -190,7 +193,7 @@ def _of_file(path: str | os.PathLike[str], name: str | None, settings: Mapping[s
         check_settings([StandIn.format], settings)
         records = read_fits(file)
         if len(records) == 1:
-            return material_of(records[0], name, settings)
+            return replace(material_of(records[0], name, settings), files=(file,))
         found = f"{len(records)} fits"
     elif not more:
         measured = load(file, settings=settings)
@@ -203,11 +206,15 @@ def _of_file(path: str | os.PathLike[str], name: str | None, settings: Mapping[s
 
 
 def sources(material: Material) -> list[Path]:
-    """The file that a measured material is read from."""
-    if not isinstance(material.brdf, Measured):
-        return []
-    paths = material.brdf.source.paths
-    return [paths[row] for row in material.brdf.materials if row < len(paths)]
+    """The files that a material is read from."""
+    if material.files or not isinstance(material.brdf, Measured):
+        return list(material.files)
+    return _files_of(material.brdf)
+
+
+def _files_of(measured: Measured) -> list[Path]:
+    paths = measured.source.paths
+    return [paths[row] for row in measured.materials if row < len(paths)]
 
 
 def _checked(model: Lobe, where: str) -> Lobe:

@@ -23,12 +23,13 @@ class AstmTable(TableExporter):
     """An `.astm`, a header and rows of four angles in radians and of values in 1/sr."""
 
     suffix = ".astm"
+    own = Astm
     keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
         brdf = material.brdf
-        if isinstance(brdf, Measured) and isinstance(brdf.source, Astm):
+        if isinstance(brdf, Measured) and self.is_own(brdf):
             return copied(path, brdf)
         found = listing(brdf)
         text = rows_text(found.columns(("red", "green", "blue"), "brdf"), np.hstack([found.angles, found.values]))
@@ -37,6 +38,7 @@ class AstmTable(TableExporter):
             "SYSTEM_NAME": "torchbrdf",
             "SAMPLE_NAME": material.name,
             "NUM_POINTS": str(len(found.values)),
+            **({"COMMENT": found.grain} if found.grain else {}),
             "VARS": ",".join([*ANGLES, names]),
         }
         write_text(path, "\n".join(f"{key} {value}" for key, value in head.items()) + f"\n{rows}")

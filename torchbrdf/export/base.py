@@ -32,6 +32,7 @@ class Material:
         name: Of the material.
         brdf: A lobe or a sum of them, not batched, with parameters within their bounds; or one measured material.
         notes: What was made of it before, one line each.
+        files: That it was read from.
 
     Raises:
         DataError: The name is none.
@@ -46,6 +47,7 @@ class Material:
     name: str
     brdf: Brdf
     notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, "export: name")
@@ -85,7 +87,8 @@ class Exporter(ABC):
         suffix: Of the file to open, such as ".xml".
         beside: Suffixes of other files that it may write, such as ".bsdf".
         writes_mesh: Whether an object is written, too.
-        no_grain: Why lobes with a grain are refused; "" where they are not.
+        no_grain: Why there is no room for a grain, "" where there is: lobes with one are refused, or, in tables, their
+            means over all azimuths are written.
         keeps_bands: Whether bands of wavelengths are written as they are; others write linear RGB.
     """
 

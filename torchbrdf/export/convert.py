@@ -4,14 +4,14 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError
-from torchbrdf.export.api import check_bands, find_exporter, material_of, sources
+from torchbrdf.export.api import find_exporter, material_of, sources
 from torchbrdf.export.base import EXPORTERS, Brdf, Material
 from torchbrdf.export.listing import values_in_bands, wavelengths_of
 from torchbrdf.export.materials import find_materials
@@ -21,7 +21,8 @@ from torchbrdf.lobes import FitRecord, Lobe
 from torchbrdf.measured import Measured, load
 from torchbrdf.measured.bands import rgb_weights
 from torchbrdf.measured.measured import FAR
-from torchbrdf.names import distinct_stems
+from torchbrdf.measured.notices import own_files
+from torchbrdf.names import distinct_stems, same_file
 from torchbrdf.pairs import Pairs
 from torchbrdf.progress import Progress, quiet
 from torchbrdf.reading import exists
@@ -132,6 +133,7 @@ def convert(
         raise problems[0]
     done: list[Converted] = []
     places = _places(materials, out, exporter, as_folder=to is not None)
+    materials = [_renamed(material, path, materials) for material, path in zip(materials, places, strict=True)]
     read = [file for material in materials for file in sources(material) if file.exists()]
     for k, (material, path) in enumerate(zip(materials, places, strict=True)):
         progress(k, len(materials))
@@ -205,6 +207,16 @@ def _places(materials: Sequence[Material], out: Path, exporter: TableExporter, a
     return [folder / f"{stem}{exporter.suffix}" for stem in stems]
 
 
+def _renamed(material: Material, path: Path, materials: Sequence[Material]) -> Material:
+    """A material with a note, where its file is not called as it is since another one's is."""
+    alike = [one for one in materials if one is not material and same_file(one.name) == same_file(material.name)]
+    if not alike or path.stem == material.name:
+        return material
+    own = f", read from {material.files[0]}" if material.files else ""
+    note = f"called {path.name}{own}: {material.name} is the name of {len(alike)} other{'s' * (len(alike) > 1)}, too"
+    return replace(material, notes=(note, *material.notes))
+
+
 def _check_place(path: Path, read: Sequence[Path]) -> None:
     """Refuse to write over a file that is, or is still to be, converted."""
     if exists(path) and any(path.samefile(one) for one in read):
@@ -213,9 +225,9 @@ def _check_place(path: Path, read: Sequence[Path]) -> None:
 
 def _written(material: Material, path: Path, to: str, exporter: TableExporter) -> Converted:
     """A material in its file, which is there when it was read back."""
-    check_bands(exporter, material)
+    material = exporter.suited(material)
     writable(path.parent)
-    with torch.no_grad(), replacing(path) as part, _named(part, path):
+    with torch.no_grad(), replacing(path) as part, _named(part, path), own_files():
         exported = exporter.write_file(material, part)
         back = _read_back(part, material.brdf)
         samples, extrapolated = _beyond(material.brdf, back)

@@ -20,19 +20,21 @@ class CsvTable(TableExporter):
     """A `.csv` with the angles of light and viewer in degrees, and columns `r`, `g`, `b` or bands such as `465nm`."""
 
     suffix = ".csv"
+    own = Columns
     keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
         brdf = material.brdf
-        if isinstance(brdf, Measured) and isinstance(brdf.source, Columns):
+        if isinstance(brdf, Measured) and self.is_own(brdf):
             return copied(path, brdf)
         found = listing(brdf)
         angles = found.angles
         # Angles that are all so small are taken for radians by whoever reads them.
         if np.degrees(angles[:, [0, 2]]).max() > 4:
             angles = np.degrees(angles)
-        write_text(path, rows_text([*ANGLES, *found.columns(("r", "g", "b"), "f")], np.hstack([angles, found.values])))
+        text = rows_text([*ANGLES, *found.columns(("r", "g", "b"), "f")], np.hstack([angles, found.values]))
+        write_text(path, (f"# {found.grain}\n" if found.grain else "") + text)
         return Exported([path], found.is_own, [found.note], load(path))
 
 

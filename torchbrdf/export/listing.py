@@ -9,6 +9,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError
 from torchbrdf.export.base import Brdf
 from torchbrdf.measured import Measured
+from torchbrdf.measured.grain import SAID
 from torchbrdf.measured.grid import chunks
 from torchbrdf.measured.tables import values_at
 from torchbrdf.pairs import Pairs
@@ -32,12 +33,14 @@ class Listing(NamedTuple):
         values: In 1/sr, `(N, C)`.
         wavelengths: Of the bands, nm, C; None of linear RGB and of one band alone.
         is_own: Whether they are the measurement's own samples.
+        has_grain: Whether they are of an anisotropic material.
     """
 
     angles: np.ndarray
     values: np.ndarray
     wavelengths: tuple[float, ...] | None
     is_own: bool
+    has_grain: bool
 
     @property
     def note(self) -> str:
@@ -46,6 +49,11 @@ class Listing(NamedTuple):
             return f"its own {len(self.values)} samples"
         lights = len(np.unique(self.angles[:, 0].round(6)))
         return f"resampled at {len(self.values)} pairs: {lights} angles of the light, half vectors all around"
+
+    @property
+    def grain(self) -> str:
+        """What a comment says of the grain, which readers would else have to find out; "" of isotropic materials."""
+        return f"{SAID} anisotropic" if self.has_grain else ""
 
     def columns(self, rgb: tuple[str, str, str], grey: str) -> list[str]:
         """The names of the columns of values: bands by their wavelengths in nm.
@@ -80,9 +88,9 @@ def listing(brdf: Brdf) -> Listing:
         if not brdf.is_anisotropic and len(np.unique(turns)) > 1:  # which readers would take for those of a grain
             angles[:, 3] -= angles[:, 1]
             angles[:, 1] = 0
-        return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True)
+        return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True, brdf.is_anisotropic)
     pairs = _around_mirrors(brdf.is_anisotropic)
-    return Listing(_angles(pairs), values_in_bands(brdf, pairs).numpy(), wavelengths, False)
+    return Listing(_angles(pairs), values_in_bands(brdf, pairs).numpy(), wavelengths, False, brdf.is_anisotropic)
 
 
 def values_in_bands(brdf: Brdf, pairs: Pairs) -> Tensor:

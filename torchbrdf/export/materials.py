@@ -1,6 +1,7 @@
 """The materials of files: every one that can be exported, and why another cannot."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from torchbrdf.errors import DataError, TorchbrdfError, UsageError, shown
@@ -8,7 +9,8 @@ from torchbrdf.export.api import material_of
 from torchbrdf.export.base import Material
 from torchbrdf.lobes import FitRecord, read_fits
 from torchbrdf.measured import StandIn, load_all
-from torchbrdf.measured.load import Paths, check_settings, find_files, format_of
+from torchbrdf.measured.find import Paths, find_files, format_of
+from torchbrdf.measured.load import check_settings
 
 # What chooses among the fits of a file.
 CHOICES = ("material", "model", "loss")
@@ -47,11 +49,13 @@ def find_materials(
     """
     unread: list[DataError] = []
     records: list[FitRecord] = []
+    origin: list[Path] = []
     measured: list[Path] = []
     for path in find_files(paths, unread):
         try:
             if format_of(path) == StandIn.format:
                 records += read_fits(path, unread)
+                origin += [path] * (len(records) - len(origin))
             else:
                 measured.append(path)
         except DataError as error:
@@ -60,7 +64,11 @@ def find_materials(
     if records and not measured:
         check_settings([StandIn.format], settings)
     choice = dict(zip(CHOICES, (material, model, loss), strict=True))
-    chosen = [record for record in records if all(want in (None, getattr(record, key)) for key, want in choice.items())]
+    chosen = [
+        (record, path)
+        for record, path in zip(records, origin, strict=True)
+        if all(want in (None, getattr(record, key)) for key, want in choice.items())
+    ]
     found = [
         *_fits(chosen, bad, settings),
         *(_tables(measured, material, bad, settings) if model is None and loss is None else ()),
@@ -71,16 +79,16 @@ def find_materials(
 
 
 def _fits(
-    records: Sequence[FitRecord], bad: list[TorchbrdfError], settings: Mapping[str, str] | None
+    records: Sequence[tuple[FitRecord, Path]], bad: list[TorchbrdfError], settings: Mapping[str, str] | None
 ) -> Iterator[Material]:
-    names = [record.material for record in records]
-    for record in records:
+    names = [record.material for record, _ in records]
+    for record, path in records:
         many = names.count(record.material) > 1
         name = "-".join([record.material, record.model, str(record.lobes), record.loss]) if many else record.material
         try:
-            yield material_of(record, name.rstrip("-"), settings)
+            yield replace(material_of(record, name.rstrip("-"), settings), files=(path,))
         except TorchbrdfError as error:
-            bad.append(error)
+            bad.append(error if str(path) in str(error) else type(error)(f"{path}: {error}"))
 
 
 def _tables(

@@ -13,11 +13,12 @@ class MerlTable(TableExporter):
 
     no_grain = "MERL's bins have no azimuth of the half vector"
     suffix = ".binary"
+    own = Merl
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
         brdf = material.brdf
-        if isinstance(brdf, Measured) and isinstance(brdf.source, Merl):
+        if isinstance(brdf, Measured) and self.is_own(brdf):
             return copied(path, brdf)
         values = merl_values(brdf)
         negative = ((values < 0).any(-1).sum() / values.isfinite().all(-1).sum()).item()

@@ -4,6 +4,7 @@ Source: R. Kimura, Surface scattering distribution data (SSDD) file format, vers
 https://github.com/KimuraRyo/libbsdf.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from torchbrdf.export.tables import TableExporter, copied
 from torchbrdf.files import write_text
 from torchbrdf.measured import Measured, Ssdd, load
 from torchbrdf.measured.grid import nearest_valid
-from torchbrdf.measured.ssdd import VERSION, half_directions
+from torchbrdf.measured.ssdd import VERSION, half_directions, read_size
 from torchbrdf.pairs import Pairs
+from torchbrdf.reading import check_unpacked
 
 # Nodes along theta_h, denser towards 0 by the second power; degrees between those along theta_d and phi_d.
 HALF_NODES, DIFFERENCE_STEP, AZIMUTH_STEP = 61, 2, 7.5
@@ -31,14 +33,17 @@ class SsddTable(TableExporter):
     """An `.ssdd` in half and difference angles, which follow the highlight; text."""
 
     suffix = ".ssdd"
+    own = Ssdd
     keeps_bands = True
 
     def write_file(self, material: Material, path: Path) -> Exported:
         """Write the table."""
         brdf = material.brdf
-        if isinstance(brdf, Measured) and isinstance(brdf.source, Ssdd):
+        if isinstance(brdf, Measured) and self.is_own(brdf):
             return copied(path, brdf)
         axes = axes_of(brdf.is_anisotropic)
+        channels = 3 if wavelengths_of(brdf) is None else len(wavelengths_of(brdf) or ())
+        check_unpacked(path, read_size(math.prod(map(len, axes)), channels))  # before all of it is written
         values = grid_values(brdf, axes)
         write_text(path, _text(material, axes, values))
         size = " x ".join(str(len(axis)) for axis in axes if len(axis) > 1)

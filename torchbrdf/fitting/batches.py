@@ -13,7 +13,7 @@ from torch import Tensor
 from torchbrdf.errors import DataError, shown
 from torchbrdf.executors import Place, side_by_side
 from torchbrdf.fitting.api import diffuse_mode, fit
-from torchbrdf.fitting.blocks import FILE, Block, FitBlock, Fitted, Group, block_size, check_distinct, input_of
+from torchbrdf.fitting.blocks import FILE, Block, FitBlock, Fitted, Group, Judge, block_size, check_distinct, input_of
 from torchbrdf.fitting.known import MATERIALS, digest
 from torchbrdf.fitting.strategy import strategy_name
 from torchbrdf.fitting.tables import write_tables
@@ -56,6 +56,7 @@ class Batches:
         loss: What is minimised.
         out: The folder; None writes nothing.
         reading: What readers were told of the files, as of `torchbrdf.load`.
+        judge: What is asked of materials and the fits that are made, where they are; `judged` has what it says.
         settings: Those of `fit`.
 
     Raises:
@@ -78,8 +79,10 @@ class Batches:
         *,
         out: Path | None = None,
         reading: dict[str, str] | None = None,
+        judge: Judge | None = None,
         **settings: Any,
     ) -> None:
+        self.judge, self.judged = judge, dict[str, Any]()
         self.model, self.loss = model, as_loss(loss)
         self.folder = None if out is None else FitFolder(out)
         self._may_be_fitted = settings.get("diffuse") is None  # where there is no 45:0 reading
@@ -195,6 +198,7 @@ class Batches:
             if self.folder is not None and fitted.records:
                 self.folder.add(block.part, fitted.records, bad=(Status.LOST,))
             bad += fitted.left_out
+            self.judged |= fitted.judged
             done += len(block.group)
             progress(done, work.total)
             yield fitted.records
@@ -262,8 +266,8 @@ class Batches:
         other = own.digest
         if known.digest and not known.digest.startswith(FILE) and other.startswith(FILE):  # of an old folder
             part = group.batch([row])
-            measured = part.opened([]) if isinstance(part, Unopened) else part
-            other = known.digest if measured is None else digest(measured)
+            measured = part.opened([]) if isinstance(part, Unopened) else [part]
+            other = digest(measured[0]) if measured else known.digest
         if is_made and known.digest and other != known.digest:
             assert self.folder is not None
             where = self.folder.manifest_path
@@ -273,7 +277,7 @@ class Batches:
 
     def _all_fitted(self, blocks: Sequence[Block], place: Place) -> Iterator[tuple[Block, Fitted]]:
         """What came of blocks; of one whose process died each material is tried alone."""
-        work = FitBlock(self.model, self.loss, self.settings)
+        work = FitBlock(self.model, self.loss, self.settings, self.judge)
         lost: list[Block] = []
         for index, answer in _map(work, blocks, place):
             if not isinstance(answer, Lost):

@@ -3,8 +3,8 @@
 import hashlib
 import logging
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ FILE = "file:"
 
 log = logging.getLogger("torchbrdf")
 Group = Measured | Unopened
+Judge = Callable[[Measured, list[FitRecord]], dict[str, Any]]
 
 
 def block_size(group: Group) -> int:
@@ -113,10 +114,12 @@ class Fitted:
     Args:
         records: Its fits.
         left_out: Why there are none of its other materials.
+        judged: What the judge says of them, by material.
     """
 
     records: list[FitRecord]
     left_out: list[DataError]
+    judged: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -127,11 +130,13 @@ class FitBlock:
         model: Where every fit starts.
         loss: What is minimised.
         settings: Those of `fit`.
+        judge: What is asked of materials and their fits while their values are there; a function of a module.
     """
 
     model: Lobe
     loss: Loss
     settings: dict[str, Any]
+    judge: Judge | None = None
 
     def __call__(self, block: Block) -> Fitted:
         """The fits of a block; one that fails leaves the others be.
@@ -144,11 +149,15 @@ class FitBlock:
             ShapeError: Model, loss and values do not fit together.
         """
         bad: list[DataError] = []
-        measured = block.group.opened(bad) if isinstance(block.group, Unopened) else block.group
-        if measured is None:
-            return Fitted([], bad)
-        found = self._fitted(measured)
-        return Fitted(found.records, bad + found.left_out)
+        opened = block.group.opened(bad) if isinstance(block.group, Unopened) else [block.group]
+        found = Fitted([], bad)
+        for measured in opened:
+            own = self._fitted(measured)
+            found.records += own.records
+            found.left_out += own.left_out
+            if self.judge is not None and own.records:
+                found.judged |= self.judge(measured, own.records)
+        return found
 
     def _fitted(self, measured: Measured) -> Fitted:
         try:

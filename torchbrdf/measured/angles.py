@@ -1,14 +1,12 @@
 """Angles of directions as files give them: in which unit, and what they are as pairs of directions."""
 
-import logging
 import math
 from pathlib import Path
 
 import numpy as np
 
 from torchbrdf.errors import DataError
-
-log = logging.getLogger("torchbrdf")
+from torchbrdf.measured.notices import notice
 
 UNITS = ("auto", "radians", "degrees")
 # Of rounding in a file.
@@ -47,7 +45,7 @@ def in_radians(path: Path, polar: np.ndarray, azimuth: np.ndarray, unit: str) ->
         said = f"radians (the file does not say; the largest from the normal is {largest:.4g})"
     doubt = _doubt(largest, turned, own, unit == "auto")
     if doubt:
-        log.warning("torchbrdf: %s: angles: %s", path, doubt)
+        notice(path, f"angles: {doubt}")
         said = f"{said}; {doubt}"
     return (math.pi / 180 if own == "degrees" else 1.0), said
 

@@ -15,7 +15,9 @@ from torchbrdf.images.primaries import XYZ, to_rec709
 from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.grain import said_grain
 from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.notices import notice
 from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
 
 # A header may have any of these; one of VARS, and one more, make it one.
@@ -35,7 +37,8 @@ class Astm(ListedFormat):
 
     `VARS` names the columns: theta_i, phi_i, theta_s, phi_s, then bands, such as `465nm`. Where it leaves out phi_s,
     and every row has one column more than it names, the rows are believed. Angles are in radians unless one of them
-    is too large for that, or the setting `angles` says otherwise.
+    is too large for that, or the setting `angles` says otherwise. A `COMMENT grain: anisotropic`, or `isotropic`, says
+    what else is found out of samples whose light has several azimuths.
     """
 
     format = "astm"
@@ -47,19 +50,21 @@ class Astm(ListedFormat):
         lines = head_lines(path, head)
         if not any(line[:4].upper() == "VARS" for line in lines):  # of most files, quickly
             return False
-        names = {line.split(None, 1)[0].upper() for line in lines}
+        names = {_key(line)[0] for line in lines}
         return "VARS" in names and bool(names.intersection(_KEYS))
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         lines = text_lines(path, _EXPECTED)
         header: dict[str, str] = {}
-        start = next((k for k, line in enumerate(lines) if line.upper().startswith("VARS")), None)
+        comments: list[str] = []
+        start = next((k for k, line in enumerate(lines) if _key(line)[0] == "VARS"), None)
         if start is None:
             raise DataError(f"{path}: expected a line VARS that names the columns, found none")
         for line in lines[: start + 1]:
-            key, *rest = line.split(None, 1) or [""]
-            header[key.upper()] = " ".join(rest)
+            key, rest = _key(line)
+            header[key] = rest
+            comments += [rest] if key == "COMMENT" else []
         names = [_OTHER_NAMES.get(name, name) for name in _split(header.get("VARS", "").lower())]
         facts: dict[str, object] = {}
         for key, word in (("SAMPLE_NAME", "sample"), ("SYSTEM_NAME", "instrument"), ("MEAS_DATE", "date")):
@@ -71,9 +76,12 @@ class Astm(ListedFormat):
             facts["columns"] = f"the header names {len(names) - 1}, the rows have {len(names)}: phi_s behind theta_s"
         bands, wavelengths = _bands(path, names)
         rows = parse_rows(path, lines[start + 1 :], len(names), start + 2)
-        facts |= _counted(header.get("NUM_POINTS"), len(rows.numbers))
-        if rows.mended:
-            facts["mended"] = rows.mended
+        facts |= _counted(path, header.get("NUM_POINTS"), len(rows.numbers))
+        mended = ["semicolons between columns"] * (";" in first or ";" in lines[start]) + [rows.mended] * bool(
+            rows.mended
+        )
+        if mended:
+            facts["mended"] = ", ".join(mended)
         column = {name: rows.numbers[:, k] for k, name in enumerate(names)}
         polar, azimuth = (rows.numbers[:, [names.index(f"{name}_{end}") for end in "is"]] for name in ("theta", "phi"))
         factor, unit = in_radians(path, polar, azimuth, self.setting("angles", "auto"))
@@ -83,7 +91,13 @@ class Astm(ListedFormat):
         if [names[k] for k in bands] == _XYZ:
             values = values @ to_rec709("", XYZ).T
             facts["tristimulus values"] = "made linear RGB (BT.709)"
-        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
+        return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts, said_grain(comments))
+
+
+def _key(line: str) -> tuple[str, str]:
+    """What a line of the header begins with, in capitals, and what stands behind it."""
+    found = re.match(r"([^\s;,:=]*)[\s;,:=]*(.*)", line)
+    return ("", "") if found is None else (found[1].upper(), found[2].strip())
 
 
 def _split(text: str) -> list[str]:
@@ -107,8 +121,10 @@ def _bands(path: Path, names: Sequence[str]) -> tuple[list[int], list[float] | N
     return [columns[k] for k in order], wavelengths
 
 
-def _counted(said: str | None, rows: int) -> dict[str, object]:
+def _counted(path: Path, said: str | None, rows: int) -> dict[str, object]:
     """What there is to say where the header counts other rows than there are."""
     if said is None or said == str(rows):
         return {}
-    return {"rows": f"{rows}, and the header says {shown(said)}; the rows were believed"}
+    found = f"{rows}, and the header says {shown(said)}; the rows were believed"
+    notice(path, f"rows: {found}")
+    return {"rows": found}

@@ -122,7 +122,7 @@ def columns_of_bands(names: Sequence[str]) -> tuple[list[int], list[float] | Non
     if names and all(found):
         by_length = sorted((float(one[1]), k) for k, one in enumerate(found) if one)
         lengths = [length for length, _ in by_length]
-        if len(set(lengths)) == len(lengths) and lengths[0] > 0 and lengths[-1] < LONGEST:
+        if len(set(lengths)) == len(lengths) and lengths[0] > SHORTEST and lengths[-1] < LONGEST:
             return [k for _, k in by_length], lengths
     return ([0], None) if len(names) == 1 else None
 

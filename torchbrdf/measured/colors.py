@@ -31,7 +31,8 @@ def weights_of(channels: int, wavelengths: Sequence[float] | None, illuminant: s
     """
     if wavelengths is None and channels > 1:
         found = bands_in_words(channels, None)
-        raise DataError(f"{where}: expected wavelengths, to make colours of, found {found}; bands can be kept (keep)")
+        expected = "expected wavelengths, to make colours of"
+        raise DataError(f"{where}: {expected}, found {found}; give them (nm), or --bands keep, if there is")
     return torch.from_numpy(rgb_weights(wavelengths or [0.0], illuminant))
 
 
@@ -73,6 +74,11 @@ class InColors(BrdfFormat):
     def settings(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
         """As the other format has them."""
         return self.source.settings
+
+    @property
+    def told(self) -> Mapping[str, str]:  # type: ignore[override]
+        """As the other format was."""
+        return self.source.told
 
     @property
     def is_scattered(self) -> bool:

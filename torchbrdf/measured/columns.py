@@ -10,6 +10,7 @@ from torchbrdf.errors import DataError, shown
 from torchbrdf.measured.angles import in_radians
 from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.grain import GRAINS, said_grain
 from torchbrdf.measured.listed import Listed, ListedFormat
 from torchbrdf.measured.rows import head_lines, lines_of, parse_rows
 from torchbrdf.reading import npz_arrays, read_bytes
@@ -27,7 +28,8 @@ class Columns(ListedFormat):
     `theta_i` and `theta_o` are the angles of light and viewer from the normal; `phi` is the azimuth between them, or
     `phi_i` and `phi_o` are those of both: at 180 degrees lies the mirror direction. Values are `r`, `g`, `b`, linear
     with the primaries of ITU-R BT.709; or bands, called by their wavelengths in nm (`465nm`); or one column `f`, grey.
-    In an `.npz` each column is an array `(N,)`.
+    In an `.npz` each column is an array `(N,)`. A line `# grain: anisotropic`, or `isotropic`, in front of the names
+    says what else is found out of samples whose light has several azimuths.
     """
 
     format = "columns"
@@ -59,7 +61,7 @@ class Columns(ListedFormat):
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         data = read_bytes(path, _EXPECTED)
-        names, columns, facts = (_packed if data.startswith(b"PK") else _text)(path, data)
+        names, columns, facts, grain = (_packed if data.startswith(b"PK") else _text)(path, data)
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise DataError(f"{path}: expected each column once, found {shown(twice[0])} more often")
@@ -81,10 +83,12 @@ class Columns(ListedFormat):
         found = columns_of_bands(rest)
         if found is None or (len(rest) == 1 and found[1] is None and rest[0] not in _GREY):
             other = shown(" ".join(rest), 90)
-            raise DataError(f"{path}: expected r, g, b, or bands such as 465nm, or f, found {other}")
+            expected = "expected r, g, b, or bands such as 465nm, which names their wavelengths, or f"
+            raise DataError(f"{path}: {expected}, found {other}")
         order, wavelengths = found
         values = np.stack([column[rest[k]] for k in order], -1, dtype=np.float64)
-        return Listed(factor * angles, values, wavelengths, self.setting("quantity", "brdf"), {"angles": unit, **facts})
+        facts = {"angles": unit, **facts}
+        return Listed(factor * angles, values, wavelengths, self.setting("quantity", "brdf"), facts, grain)
 
 
 def _names(line: str) -> list[str]:
@@ -94,25 +98,26 @@ def _names(line: str) -> list[str]:
     return [name.strip().lower() for name in row if name.strip()]
 
 
-def _text(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object]]:
-    """Names, columns and facts of a CSV file."""
+def _text(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object], str]:
+    """Names, columns and facts of a CSV file, and what it says of a grain."""
     lines = lines_of(data)
     at = next((k for k, line in enumerate(lines) if line and line[0] != "#"), None)
     names = [] if at is None else _names(lines[at])
     if at is None or not set(_NEEDED) <= set(names):
         raise DataError(f"{path}: expected {_EXPECTED}, found {shown(' '.join(names), 90)}")
     rows = parse_rows(path, [line.replace('"', "") for line in lines[at + 1 :]], len(names), at + 2)
-    return names, rows.numbers.T, {"mended": rows.mended} if rows.mended else {}
+    grain = said_grain(line.strip("# ") for line in lines[:at])
+    return names, rows.numbers.T, {"mended": rows.mended} if rows.mended else {}, grain
 
 
-def _packed(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object]]:
+def _packed(path: Path, data: bytes) -> tuple[list[str], Iterable[np.ndarray], dict[str, object], str]:
     """The same of an `.npz`."""
     arrays = npz_arrays(path, data, _EXPECTED)
     size = len(np.atleast_1d(next(iter(arrays.values()), np.empty(0))))
     for name, one in arrays.items():
         if one.shape != (size,) or one.dtype.kind not in "fiu":
             raise DataError(f"{path}: {shown(name)}: expected {size} numbers, found {one.dtype} {one.shape}")
-    return [name.lower() for name in arrays], arrays.values(), {}
+    return [name.lower() for name in arrays], arrays.values(), {}, GRAINS[0]
 
 
 def _arrays(path: Path) -> list[str]:

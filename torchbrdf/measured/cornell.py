@@ -33,12 +33,12 @@ class Cornell(ListedFormat):
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
         """Whether it is a file of Cornell's, by the comments that introduce its wavelengths."""
-        lines = {line.lower() for line in head_lines(path, head)}
-        return lines.issuperset(_MARKS)
+        return any(_marked(line) == _MARKS[0] for line in head_lines(path, head))
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         lines = text_lines(path, _EXPECTED)
+        lines, mended = _apart(lines)
         low = [line.lower() for line in lines]
         for mark in _MARKS:
             if mark not in low:
@@ -58,9 +58,33 @@ class Cornell(ListedFormat):
             raise DataError(f"{path}: # wls: expected {count} growing wavelengths, found {shown(' '.join(words), 90)}")
         rows = parse_rows(path, lines[at:], 4 + count, at + 1)
         factor, unit = in_radians(path, rows.numbers[:, 0:4:2], rows.numbers[:, 1:4:2], self.setting("angles", "auto"))
-        facts = {"angles": unit} | ({"mended": rows.mended} if rows.mended else {})
+        mended = ", ".join(filter(None, [mended, rows.mended]))
+        facts = {"angles": unit} | ({"mended": mended} if mended else {})
         angles, values = rows.numbers[:, :4] * factor, rows.numbers[:, 4:]
         return Listed(angles, values, wavelengths, self.setting("quantity", "brdf"), facts)
+
+
+def _marked(line: str) -> str:
+    """The comment that a line begins with, if it is one of those that introduce something; else ""."""
+    low = " ".join(line.lower().replace("#", "# ").split())
+    return next((mark for mark in _MARKS if low.startswith(mark)), "")
+
+
+def _apart(lines: list[str]) -> tuple[list[str], str]:
+    """Lines with each comment that introduces something on a line of its own; and what was mended, in words."""
+    found: list[str] = []
+    mended = ""
+    for line in lines:
+        parts = [f"#{one}" for one in line[1:].split("#")] if line.startswith("#") else [line]
+        for part in parts if len(parts) > 1 and any(map(_marked, parts)) else [line]:
+            mark = _marked(part)
+            if not mark or part.lower() == mark:
+                found.append(part)
+                continue
+            word = mark.rpartition(" ")[2]
+            found += [mark, part[part.lower().index(word) + len(word) :].strip(" \t:=")]
+            mended = "the header's numbers, which stand on the lines of their comments"
+    return found, mended
 
 
 def _numbers(words: list[str]) -> list[float] | None:

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -64,7 +65,9 @@ class BrdfFormat(ABC):
         is_anisotropic: Whether values depend on how the surface is turned about its normal; a property where that
             depends on the files.
         settings: What a reader can be told that a file does not say, and the values of each, the default first.
+        told: What it was told of them.
         one_a_file: Whether each file has one material, whose name `name_of` gives.
+        is_joined: Whether `joined` reads no file again.
 
     A subclass gives `recognises`, `open` and `read`; and `at`, if it has a better way than between scattered samples.
     """
@@ -83,7 +86,9 @@ class BrdfFormat(ABC):
     is_reciprocal: ClassVar[bool] = False
     is_anisotropic: bool = False
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    told: Mapping[str, str] = MappingProxyType({})
     one_a_file: ClassVar[bool] = True
+    is_joined: ClassVar[bool] = False
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Values between scattered samples are reciprocal, and those of a way of its own need not be."""
@@ -109,6 +114,18 @@ class BrdfFormat(ABC):
         Raises:
             DataError: Names the first file that is bad.
         """
+
+    @classmethod
+    def joined(cls, sources: "Sequence[BrdfFormat]") -> "BrdfFormat":
+        """One source of several of one format, made with the same settings: by default their files are opened again.
+
+        Args:
+            sources: With a file each, one at least; where bands are kept, with the same.
+        """
+        if len(sources) == 1:
+            return sources[0]
+        paths, told = [path for one in sources for path in one.paths], sources[0].told
+        return cls.open(paths, told) if told else cls.open(paths)  # type: ignore[call-arg]
 
     @classmethod
     def name_of(cls, path: Path) -> str:
@@ -251,8 +268,7 @@ class BrdfFormat(ABC):
         found: dict[str, object] = {"format": self.format}
         if material < len(self.paths):
             found["file"] = self.paths[material].name
-        told = getattr(self, "told", {})
-        return found | ({"settings": dict(told)} if told else {})
+        return found | ({"settings": dict(self.told)} if self.told else {})
 
     @property
     def may_be_anisotropic(self) -> bool:

@@ -89,7 +89,6 @@ class Fourier(ListedFormat):
     is_sampled: ClassVar[bool] = False
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
-        self._series: list[_Series] = []
         super().__init__(paths, settings)
         self.names = [self.name_of(path) for path in paths]
 
@@ -113,7 +112,6 @@ class Fourier(ListedFormat):
         """What a file says."""
         data, packed = _unpacked(path)
         series, facts = _read(path, data)
-        self._series.append(series)
         light, viewer = (one[:: -(-len(one) // _COSINES)].numpy() for one in (series.light, series.viewer))
         turns = math.pi * np.linspace(0, 1, _AZIMUTHS) ** 2
         check_unpacked(path, 100 * len(light) * len(viewer) * len(turns))
@@ -123,14 +121,15 @@ class Fourier(ListedFormat):
         values = series.at(pairs[0], pairs[1], "linear").numpy()
         if packed:
             facts["packed"] = "by gzip"
-        return Listed(angles, values, None, facts=facts)
+        return Listed(angles, values, None, facts=facts, table=series)
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, the sums of their series."""
         values = pairs.cos_i.new_zeros((len(materials), len(pairs), self.channels))
         for row, material in enumerate(materials):
             own = pairs.select([row if pairs.shape[0] > 1 else 0])
-            found = self._series[material].at(own.wi[0], own.wo[0], interpolation)
+            series: _Series = self._read[material].table
+            found = series.at(own.wi[0], own.wo[0], interpolation)
             # As many channels as all files have.
             found = found.expand(-1, values.shape[2]) if found.shape[1] == 1 else found
             values[row] = torch.where(own.above_horizon[0, :, None], found, 0)

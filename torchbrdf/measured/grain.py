@@ -1,5 +1,6 @@
 """Whether scattered samples have a grain: whether it helps to know how the surface is turned about its normal."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,8 @@ from torchbrdf.pairs import Pairs
 
 GRAINS = ("auto", "isotropic", "anisotropic")
 """What a reader may be told of samples: auto finds it out."""
+SAID = "grain:"
+"""Behind it a file with comments says which of the others it is."""
 # Degrees between azimuths of the light that are two.
 _STEP = 0.1
 # The share of places that are left out, and how few of them say nothing.
@@ -36,6 +39,17 @@ def azimuths(wi: np.ndarray) -> int:
     tilted = wi[:, 2] < np.cos(np.radians(_STEP))
     azimuth = np.round(np.degrees(np.arctan2(wi[tilted, 1], wi[tilted, 0])) / _STEP).astype(np.int64)
     return len(np.unique(azimuth % round(360 / _STEP)))
+
+
+def said_grain(comments: Iterable[str]) -> str:
+    """What comments in a file say of a grain, one of `GRAINS`.
+
+    Example:
+        >>> said_grain(["made up", "grain: anisotropic"]), said_grain([])
+        ('anisotropic', 'auto')
+    """
+    said = (one.strip().lower().removeprefix(SAID).strip() for one in comments if one.strip().lower().startswith(SAID))
+    return next((one for one in said if one in GRAINS), GRAINS[0])
 
 
 def grain_of(wi: np.ndarray, wo: np.ndarray, values: np.ndarray, told: str = GRAINS[0]) -> Grain:

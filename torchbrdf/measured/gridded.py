@@ -1,7 +1,7 @@
 """Formats whose files hold a table over directions: values are interpolated in the table, by the azimuths of both."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Protocol
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchbrdf.measured.format import BrdfFormat, Interpolation, Lookup
 from torchbrdf.measured.grid import chunks, weighted_rows
-from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.listed import Listed, ListedFormat, Opened
 from torchbrdf.pairs import Pairs
 
 # Cosines of light that has an azimuth, and samples that are compared with those of exchanged directions.
@@ -54,15 +54,6 @@ class GriddedFormat(ListedFormat):
 
     is_sampled: ClassVar[bool] = False
 
-    def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
-        self._grids: list[Grid] = []
-        super().__init__(paths, settings)
-        # Tables say themselves whether they have a grain, and samples need not be asked.
-        self.is_anisotropic = any(grid.is_anisotropic for grid in self._grids)
-        for one in self._read:
-            for name in _OF_GRAINS:
-                one.facts.pop(name, None)
-
     @abstractmethod
     def gridded(self, path: Path) -> tuple[Listed, Grid]:
         """What a file says, and how its samples are found again; DataError if it is bad."""
@@ -70,12 +61,22 @@ class GriddedFormat(ListedFormat):
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         listed, grid = self.gridded(path)
-        self._grids.append(grid)
-        return listed
+        return replace(listed, table=grid, grain="anisotropic" if grid.is_anisotropic else "isotropic")
+
+    def _opened(self, path: Path) -> Opened:
+        """What was read of a file; tables say themselves whether they have a grain, and samples need not be asked."""
+        found = super()._opened(path)
+        for name in _OF_GRAINS:
+            found.facts.pop(name, None)
+        return found
+
+    def _grid(self, material: int) -> Grid:
+        found: Grid = self._read[material].table
+        return found
 
     def has_grain(self, material: int) -> bool:
         """Whether a material's table is anisotropic."""
-        return self._grids[material].is_anisotropic
+        return self._grid(material).is_anisotropic
 
     def at(self, pairs: Pairs, materials: list[int], interpolation: Interpolation) -> Lookup:
         """Values at any pairs, from the samples around them in each material's table."""
@@ -85,7 +86,7 @@ class GriddedFormat(ListedFormat):
             for row, material in enumerate(materials):
                 own = chunk.select([row if pairs.shape[0] > 1 else 0])
                 above = own.above_horizon[0]
-                rows, weight = self._grids[material].around(own.wi[0], own.wo[0], interpolation)
+                rows, weight = self._grid(material).around(own.wi[0], own.wo[0], interpolation)
                 found = weighted_rows(self._table(material, pairs), rows.to(torch.int64), weight)
                 share = found[:, -1:]
                 missing = (share[:, 0] <= 0) & above
@@ -110,7 +111,7 @@ class GriddedFormat(ListedFormat):
     def details(self, material: int) -> dict[str, object]:
         """What the file says of itself, how it was read, and what its samples are like."""
         found = super().details(material)
-        if not self._grids[material].is_anisotropic:
+        if not self._grid(material).is_anisotropic:
             return found
         for name in list(found):  # of isotropic materials
             if name.startswith(("azimuths", "noise", "reciprocity")):

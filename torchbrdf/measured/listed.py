@@ -28,7 +28,8 @@ from torchbrdf.measured.bands import (
 )
 from torchbrdf.measured.format import BrdfFormat, padded_pairs, reopened
 from torchbrdf.measured.grain import GRAINS, Grain, azimuths, grain_of
-from torchbrdf.measured.summary import are_any_repeated, repeated, summary
+from torchbrdf.measured.notices import notice
+from torchbrdf.measured.summary import ALIKE, are_any_repeated, repeated, summary
 from torchbrdf.pairs import Pairs
 
 log = logging.getLogger("torchbrdf")
@@ -37,6 +38,8 @@ LEAST_COSINE = 1e-4
 """Directions nearer to the horizon are at it, but for rounding: what is said there is no BRDF's value."""
 LARGEST_VALUE = 1e8
 """Larger values, in 1/sr, are no reflectance."""
+# Numbers of directions up to which they are kept for the next file.
+_FEW = 1_000_000
 QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
 SETTINGS: Mapping[str, tuple[str, ...]] = {
     "angles": UNITS,
@@ -59,6 +62,8 @@ class Listed:
         wavelengths: Of the bands, nm, growing, W; None for linear RGB.
         quantity: What the values are, one of `QUANTITIES`.
         facts: What else the file, or how it was read, has to say, by name.
+        grain: One of `GRAINS`: whether the file says that it is of an anisotropic material.
+        table: What values are interpolated in, of formats that hold one.
     """
 
     angles: np.ndarray
@@ -66,6 +71,8 @@ class Listed:
     wavelengths: Sequence[float] | None
     quantity: str = "brdf"
     facts: Mapping[str, object] = field(default_factory=dict)
+    grain: str = GRAINS[0]
+    table: Any = None
 
     def directions(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors to the light and to the viewer, `(N, 3)`."""
@@ -98,8 +105,20 @@ class _Directions(NamedTuple):
         return cls(listed.angles, wi, wo, above, tensors, are_any_repeated(wi, wo), azimuths(wi[above]) > 1)
 
 
-class _Opened(NamedTuple):
-    """What was read of one file: directions, values and validity of N samples, facts, and wavelengths of bands."""
+_last: list[_Directions] = []
+
+
+def _directions(listed: Listed) -> _Directions:
+    """Those of a file; of the one before, if they are the same."""
+    known = _last[:1]
+    if not known or not np.array_equal(known[0].angles, listed.angles):
+        known = [_Directions.of(listed)]
+        _last[:] = known if listed.angles.size <= _FEW else []
+    return known[0]
+
+
+class Opened(NamedTuple):
+    """What was read of one file: directions, values and validity of N samples, facts, and the rest."""
 
     wi: Tensor
     wo: Tensor
@@ -108,6 +127,7 @@ class _Opened(NamedTuple):
     facts: dict[str, object]
     wavelengths: tuple[float, ...] | None
     grain: Grain
+    table: Any
 
 
 class ListedFormat(BrdfFormat):
@@ -123,28 +143,44 @@ class ListedFormat(BrdfFormat):
     """
 
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
+    is_joined: ClassVar[bool] = True
 
     def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
         self.paths = list(paths)
         self.names = [path.stem for path in paths]
         self.told = dict(settings or {})
-        self._last: _Directions | None = None
-        self._read = [self._opened(path) for path in paths]
-        self.channels, self.wavelengths = self._read[0].values.shape[1], self._read[0].wavelengths
-        check_same_bands(paths, [(one.values.shape[1], one.wavelengths) for one in self._read])
-        self.is_anisotropic = any(one.grain.is_there for one in self._read)
+        self._take([self._opened(path) for path in paths])
 
-    def _opened(self, path: Path) -> _Opened:
+    def _take(self, read: list[Opened]) -> None:
+        """Be the format of what was read of the files."""
+        self._read = read
+        self.channels, self.wavelengths = read[0].values.shape[1], read[0].wavelengths
+        check_same_bands(self.paths, [(one.values.shape[1], one.wavelengths) for one in read])
+        self.is_anisotropic = any(map(self.has_grain, range(len(read))))
+
+    @classmethod
+    def joined(cls, sources: Sequence[BrdfFormat]) -> BrdfFormat:
+        """One source of several, whose files are not read again."""
+        if len(sources) == 1:
+            return sources[0]
+        found = cls.__new__(cls)
+        found.paths = [path for one in sources for path in one.paths]
+        found.names = [name for one in sources for name in one.names]
+        found.told = dict(sources[0].told)
+        found._take([read for one in sources if isinstance(one, ListedFormat) for read in one._read])
+        return found
+
+    def _opened(self, path: Path) -> Opened:
         listed = self.parse(path)
         if not len(listed.values):
             raise DataError(f"{path}: expected samples, found none")
         values, words, wavelengths = self._in_colors(listed)
-        if self._last is None or not np.array_equal(self._last.angles, listed.angles):
-            self._last = _Directions.of(listed)
-        wi, wo, above = self._last.wi, self._last.wo, self._last.above
+        known = _directions(listed)
+        wi, wo, above = known.wi, known.wo, known.above
         with np.errstate(invalid="ignore"):
             values *= _factor(listed.quantity, wo[:, 2])
             valid = above & (np.abs(values) <= LARGEST_VALUE).all(1)
+            large = above & (np.abs(values) > LARGEST_VALUE).any(1)
         if not valid.any():
             if above.any():
                 expected = f"expected values up to {LARGEST_VALUE:g} / sr, found"
@@ -154,13 +190,18 @@ class ListedFormat(BrdfFormat):
         facts = {"quantity": _WORDS[listed.quantity], **listed.facts, "colours": words}
         values[~valid] = 0
         grain, told = Grain(False, {}), self.setting("grain", GRAINS[0])
-        if self._last.are_any_repeated and (again := repeated(wi[valid], wo[valid], values[valid])):
+        if known.are_any_repeated and (again := repeated(wi[valid], wo[valid], values[valid])):
             facts["repeated directions"] = again
-            log.warning("torchbrdf: %s: repeated directions: %s", path, again)
-        if self._last.has_azimuths or told == "anisotropic":
-            grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), told)
+            if not again.endswith(ALIKE):
+                notice(path, f"repeated directions: {again}")
+        if large.any():
+            facts["left out"] = f"{int(large.sum())} of {len(valid)} samples: values above {LARGEST_VALUE:g} / sr"
+            notice(path, f"left out: {facts['left out']}")
+        own = listed.grain if told == GRAINS[0] else told
+        if known.has_azimuths or own == "anisotropic":
+            grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), own)
         found, good = torch.from_numpy(values), torch.from_numpy(valid)
-        return _Opened(*self._last.tensors, found, good, facts | grain.facts, wavelengths, grain)
+        return Opened(*known.tensors, found, good, facts | grain.facts, wavelengths, grain, listed.table)
 
     def _in_colors(self, listed: Listed) -> tuple[np.ndarray, str, tuple[float, ...] | None]:
         """Values as linear RGB, or in bands, how they became so, and the wavelengths of bands."""

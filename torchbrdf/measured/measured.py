@@ -3,17 +3,15 @@
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any, Self, get_args
 from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
-from torchbrdf.color import LUMINANCE
-from torchbrdf.errors import DataError, ShapeError
-from torchbrdf.measured.bands import DEFAULT_ILLUMINANT, bands_in_words, luminance_shares
-from torchbrdf.measured.colors import InColors
+from torchbrdf.errors import ShapeError
 from torchbrdf.measured.format import FORMATS, BrdfFormat, Interpolation, Lookup, reopened
+from torchbrdf.measured.in_bands import InBands
 from torchbrdf.measured.samples import Samples, check_given, row_of, samples_of
 from torchbrdf.pairs import Pairs, check_max_theta
 from torchbrdf.registry import unknown
@@ -42,7 +40,7 @@ def _same(one: Tensor | None, other: Tensor | None) -> bool:
     return one is other or (one is not None and other is not None and torch.equal(one, other))
 
 
-class Measured:
+class Measured(InBands):
     """Measured BRDFs of M materials on N pairs of directions, from `load` or from `from_samples`.
 
     `pairs` are the directions, `values` `(M, N, C)` the BRDF in 1/sr without the cosine, in linear RGB (C is 3) or in
@@ -128,69 +126,6 @@ class Measured:
         return [self.source.names[k] for k in self.materials]
 
     @property
-    def channels(self) -> int:
-        """How many numbers a value has, C: 3 of linear RGB, else one a band."""
-        return self.source.channels
-
-    @property
-    def wavelengths(self) -> tuple[float, ...] | None:
-        """Of the C bands, nm, growing; None of linear RGB, and where nobody knows them."""
-        return self.source.wavelengths
-
-    @property
-    def is_rgb(self) -> bool:
-        """Whether values are linear RGB."""
-        return self.channels == 3 and self.wavelengths is None
-
-    @property
-    def has_colors(self) -> bool:
-        """Whether values are linear RGB, or can be made so, see `to_rgb`."""
-        return self.is_rgb or self.wavelengths is not None or self.channels == 1
-
-    @property
-    def luminance_shares(self) -> tuple[float, ...]:
-        """What each channel counts in luminance; bands whose wavelengths nobody knows count alike."""
-        if self.is_rgb:
-            return LUMINANCE
-        return (1 / self.channels,) * self.channels if self.wavelengths is None else luminance_shares(self.wavelengths)
-
-    def to_rgb(self, illuminant: str = DEFAULT_ILLUMINANT) -> "Measured":
-        """The same materials in linear RGB, by the CIE 1931 observer; itself, if it is so.
-
-        Args:
-            illuminant: "D65", daylight, or "E", equal power at all wavelengths.
-
-        Raises:
-            DataError: Nobody knows the wavelengths of several bands.
-            UsageError: There is no such illuminant.
-
-        Example:
-            >>> angle = torch.tensor([[0.1, 0.2]])
-            >>> pairs = Pairs.from_half_diff(angle, angle, angle)
-            >>> grey = Measured.from_samples(pairs, torch.ones(1, 2, 31), wavelengths=range(400, 710, 10))
-            >>> grey.to_rgb().values[0, 0]
-            tensor([1.0000, 1.0000, 1.0000])
-        """
-        return self if self.is_rgb else self._view(source=InColors(self.source, illuminant))
-
-    def check_rgb(self, who: str) -> None:
-        """Refuse bands where linear RGB is needed.
-
-        Args:
-            who: Needs it, for the message.
-
-        Raises:
-            DataError: Values are bands.
-
-        Example:
-            >>> from torchbrdf.measured import load, standins
-            >>> load(standins()).check_rgb("pictures")
-        """
-        if not self.is_rgb:
-            found = bands_in_words(self.channels, self.wavelengths)
-            raise DataError(f"{who}: expected linear RGB, found {found}: {', '.join(self.names[:3])}; see to_rgb")
-
-    @property
     def stand_in(self) -> bool:
         """Whether the values come from a model that stands in for a measurement."""
         return self.source.stand_in
@@ -217,9 +152,9 @@ class Measured:
         shown = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
         return f"Measured({self.source.format}: {shown}; {len(self)} materials, {len(self.pairs)} pairs)"
 
-    def _view(self, **changes: object) -> "Measured":
+    def _view(self, **changes: object) -> Self:
         names = ("source", "materials", "samples", "max_theta", "dtype", "device")
-        return Measured(**{name: getattr(self, name) for name in names} | changes)
+        return type(self)(**{name: getattr(self, name) for name in names} | changes)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Measured":
         """The same materials on another device or in another dtype; None leaves either as it is."""

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchbrdf.measured.azimuths import without_grain
 from torchbrdf.measured.grid import nearest_valid
 from torchbrdf.measured.measured import Measured
 from torchbrdf.measured.merl import BINS, CHANNEL_SCALES, LARGEST_ENTRY, above_horizon, bin_centers
@@ -21,6 +22,8 @@ def merl_values(brdf: Brdf) -> Tensor:
     f(wo, wi). Bins across the horizon, whose centre is below it, have the value of the nearest bin above, since readers
     look there, too; all further below are nan, which is written as invalid. Values may be negative, in measured colours
     out of gamut; the format has none, so `clamp` them, or their bins are invalid.
+
+    With a grain it has the mean over all azimuths of the surface.
 
     What a measured BRDF does not know is what its `at` says there: the nearest valid value, and beyond the largest
     angle that was measured, say 60 degrees, that of this angle.
@@ -42,9 +45,10 @@ def merl_values(brdf: Brdf) -> Tensor:
         >>> load("ward.binary").names
         ['ward']
     """
+    brdf = without_grain(brdf)
     pairs, above = bin_centers(), above_horizon()
     found = values_at(brdf, pairs)
-    if not (isinstance(brdf, Measured) and brdf.on_merl_bins):
+    if not (isinstance(brdf, Measured) and (brdf.on_merl_bins or brdf.source.is_reciprocal)):
         found = (found + values_at(brdf, Pairs.from_directions(pairs.wo, pairs.wi))) / 2
     values = torch.full((above.size, 3), torch.nan, dtype=torch.float64, device="cpu")
     values[torch.from_numpy(above)] = found.clamp_max(LARGEST_ENTRY * min(CHANNEL_SCALES))

@@ -117,7 +117,7 @@ def noises_of(measured: Measured) -> list[Noise | None]:
         [None, None]
     """
     source = measured.source
-    if not source.is_sampled or source.stand_in or getattr(source, "is_anisotropic", False):
+    if not source.is_sampled or source.stand_in or source.is_anisotropic:
         return [None] * len(measured)
     if len(measured.pairs) > _TABLE:
         every = [_in_table(measured.batch([k])) for k in range(len(measured))]

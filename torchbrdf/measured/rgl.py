@@ -169,17 +169,31 @@ class Rgl(BrdfFormat):
     settings: ClassVar[Mapping[str, tuple[str, ...]]] = SETTINGS
     suffixes = (".bsdf",)
     is_text = False
+    is_joined: ClassVar[bool] = True
 
-    def __init__(self, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        settings: Mapping[str, str] | None = None,
+        files: Sequence[RglFile] | None = None,
+    ) -> None:
         self.paths, self.told = list(paths), dict(settings or {})
         self.names = [self.name_of(path) for path in paths]
-        self._files = [RglFile(path, self.told) for path in paths]
+        self._files = [RglFile(path, self.told) for path in paths] if files is None else list(files)
         self.is_anisotropic = any(file.phi is not None for file in self._files)
         first = self._files[0]
         self.channels, self.wavelengths = first.spectrum.shape[-1], first.wavelengths
         check_same_bands(paths, [(file.spectrum.shape[-1], file.wavelengths) for file in self._files])
         self._tables = lru_cache(TABLES)(self._make_tables)
         self._nearest_finite = lru_cache(TABLES)(lambda material: nearest_valid(self._files[material].finite))
+
+    @classmethod
+    def joined(cls, sources: Sequence[BrdfFormat]) -> BrdfFormat:
+        """One source of several, whose files are not read again."""
+        own = [one for one in sources if isinstance(one, Rgl)]
+        paths = [path for one in own for path in one.paths]
+        files = [file for one in own for file in one._files]
+        return sources[0] if len(sources) == 1 else cls(paths, sources[0].told, files)
 
     @classmethod
     def name_of(cls, path: Path) -> str:

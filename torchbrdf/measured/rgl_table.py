@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchbrdf.color import luminance
 from torchbrdf.errors import UsageError, shown
+from torchbrdf.measured.azimuths import without_grain
 from torchbrdf.measured.rgl import LARGEST_DENSITY, LARGEST_STORED, LEAST_VISIBLE, LOWEST, bilinear, theta_to_unit
 from torchbrdf.measured.tables import Brdf, values_at
 from torchbrdf.measured.tensor_file import write_tensor_file
@@ -50,6 +51,8 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
     theta_i is the light's, as in the database. Mitsuba, which traces from the camera, takes it for the viewer's, in
     RGL's own files, too: what is not reciprocal, as measurements are not quite, is seen there with the two exchanged.
 
+    With a grain it has the mean over all azimuths of the surface.
+
     What a measured BRDF does not know is what its `at` says there: the nearest valid value, and beyond the largest
     theta_i that was measured, say 60 degrees, that of this angle.
 
@@ -84,7 +87,7 @@ def write_rgl(path: str | Path, brdf: Brdf, *, description: str = "", angles: in
     fields = {
         "version": np.array([1, 0], "u4"),
         "description": np.frombuffer(description.encode("utf-8", "replace") or b"BRDF", "u1"),
-        **_Table(brdf, angles, size).fields(),
+        **_Table(without_grain(brdf), angles, size).fields(),
         "jacobian": np.ones(1, "u1"),
     }
     write_tensor_file(path, fields)

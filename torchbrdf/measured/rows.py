@@ -105,7 +105,7 @@ def parse_rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Ro
     """
     own = [(k, line) for k, line in enumerate(lines, first) if line and line[0] != "#"]
     check_unpacked(path, _BYTES_A_CELL * columns * len(own))
-    mark, decimal = _separator(own[0][1]) if own else (None, False)
+    mark, decimal = _separator([line for _, line in own]) if own else (None, False)
     texts = [line.replace(",", ".") if decimal else line for _, line in own]
     numbers = _of_plain(texts, mark, columns)
     if numbers is None:
@@ -151,15 +151,16 @@ def _number(cell: str) -> float:
     return found
 
 
-def _separator(line: str) -> tuple[str | None, bool]:
-    """What parts the numbers of a line, None for blanks, and whether they have decimal commas."""
-    decimal = "," in line and "." not in line
-    if ";" in line:
+def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
+    """What parts the numbers of a line, None for blanks, and whether they have decimal commas: by all lines."""
+    first = lines[0]
+    decimal = any("," in line for line in lines) and not any("." in line for line in lines)
+    if ";" in first:
         return ";", decimal
-    if "\t" in line:
+    if "\t" in first:
         return None, decimal
-    parts = line.split()
-    if "," in line and not (decimal and len(parts) > 1 and not any(part.endswith(",") for part in parts)):
+    parts = first.split()
+    if "," in first and not (decimal and len(parts) > 1 and not any(part.endswith(",") for part in parts)):
         return ",", False
     return None, decimal
 

@@ -90,6 +90,8 @@ class Speos(ListedFormat):
         else:
             listed = _anisotropic(path, cursor)
         facts = {"kind": f"{name}, version {version}, {'binary' if isinstance(cursor, BinaryCursor) else 'text'}"}
+        if left := cursor.left():
+            facts["passed over"] = f"{left} behind the reflection"
         at, facts["angles"] = _mirror(listed, self.setting("mirror", "auto"))
         angles = listed.angles + np.radians([0, at, 0, 0])
         return Listed(angles, listed.values, listed.wavelengths, listed.quantity, {**facts, **listed.facts})

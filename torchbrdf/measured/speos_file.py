@@ -86,6 +86,11 @@ class TextCursor:
         count = self.count("of wavelengths")
         return self.numbers(2 * count, "wavelengths and reflectances").reshape(count, 2)
 
+    def left(self) -> str:
+        """What is left of the file, in words; "" where nothing is."""
+        count = sum(bool(line.strip()) for line in self._lines[self._at :])
+        return f"{count} lines" if count else ""
+
     def bad(self, expected: str, found: str) -> DataError:
         """The error for what is not there."""
         return DataError(f"{self.path}: line {self._at}: expected {expected}, found {found or 'nothing'}")
@@ -154,6 +159,11 @@ class BinaryCursor:
         """Rows of a wavelength and a reflectance, in percent, `(W, 2)`."""
         (count,) = self.counts(1, "of wavelengths")
         return self.numbers(2 * count, "wavelengths and reflectances").reshape(2, count).T
+
+    def left(self) -> str:
+        """What is left of the file, in words; "" where nothing is."""
+        count = len(self._data) - self._at
+        return f"{count} bytes" if count else ""
 
     def bad(self, expected: str, found: str) -> DataError:
         """The error for what is not there."""

@@ -17,7 +17,9 @@ from torchbrdf.images.primaries import XYZ, to_rec709
 from torchbrdf.measured.angles import direction
 from torchbrdf.measured.bands import LONGEST
 from torchbrdf.measured.format import FORMATS
+from torchbrdf.measured.grain import GRAINS
 from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.notices import notice
 from torchbrdf.measured.rows import HEAD, Rows, parse_rows
 from torchbrdf.reading import check_unpacked, read_bytes
 
@@ -29,7 +31,13 @@ _CHANNELS = {"monochrome": 1, "rgb": 3, "xyz": 3}
 # Bytes that a row becomes while it is read: angles, directions, and values.
 _BYTES_A_ROW, _BYTES_A_VALUE = 200, 100
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
+_VERSION = re.compile(rb"^[ \t]*VERSION[ \t]*([^\r\n]*)", re.MULTILINE)
+_READ = (["0", "1"], VERSION.split("."))
 _KIND = re.compile(rb"^[ \t]*DATA_TYPE[ \t]+(\w{1,40})", re.MULTILINE)
+
+
+# Of a line of a header, such as DATA_TYPE brdf.
+_KEY = re.compile(r"[A-Z][A-Z0-9_]+(?:[ \t]|$)")
 
 
 @FORMATS.register("ssdd")
@@ -61,6 +69,7 @@ class Ssdd(ListedFormat):
     def parse(self, path: Path) -> Listed:
         """What a file says."""
         data = read_bytes(path, _EXPECTED).removeprefix(b"\xef\xbb\xbf")
+        version = _version(path, data)
         block = _find_brdf(path, data)
         angles, unit = block.angles(self.setting("angles", "auto"))
         values = block.rows.numbers
@@ -77,10 +86,12 @@ class Ssdd(ListedFormat):
             "angles": unit,
             "coordinates": block.system.replace("_", " "),
             **{name: shown(block.words[key])[1:-1] for key, name in _FACTS.items() if block.words.get(key)},
+            **version,
             **({"passed over": ", ".join(sorted(others))} if others else {}),
             **({"mended": block.rows.mended} if block.rows.mended else {}),
         }
-        return Listed(angles, values, block.wavelengths, self.setting("quantity", "brdf"), facts)
+        grain = "anisotropic" if len(block.axes[1]) > 1 else GRAINS[0]
+        return Listed(angles, values, block.wavelengths, self.setting("quantity", "brdf"), facts, grain)
 
 
 _FACTS = {"NAME": "sample", "DEVICE": "instrument", "MEASUREMENT_DATE": "date", "SOURCE_TYPE": "source"}
@@ -144,13 +155,14 @@ class _Block:
     def rows(self) -> Rows:
         """Values of all nodes, the first axis running fastest, `(N, C)`."""
         count, channels = math.prod(map(len, self.axes)), self.channels
-        check_unpacked(self.path, count * (_BYTES_A_ROW + channels * _BYTES_A_VALUE))
+        check_unpacked(self.path, read_size(count, channels))
         mode = self.words["DATA"]
         if mode == "binary":
             size = 4 * count * channels
             if len(self.data) < self.start + size:
                 found = len(self.data) - self.start
                 raise DataError(f"{self.path}: expected {size} bytes of {count} binary values, found {found}")
+            self._check_end(self.start + size)
             flat = np.frombuffer(self.data, "<f4", count * channels, self.start).astype(np.float64)
             return Rows(flat.reshape(count, channels), "")
         if mode != "ascii":
@@ -166,7 +178,20 @@ class _Block:
         if kept != count:
             sizes = " x ".join(str(len(axis)) for axis in self.axes)
             raise DataError(f"{self.path}: expected {count} rows of values ({sizes}), found {kept}")
+        self._check_end(at)
         return parse_rows(self.path, lines, channels, self.line)
+
+    def _check_end(self, at: int) -> None:
+        """Refuse what follows the values and is neither another block nor a comment."""
+        while at < len(self.data):
+            line, behind = _line(self.data, at)
+            if _KEY.match(line):
+                return
+            if line and not line.startswith("#"):
+                rest = len(self.data) - at
+                expected = "expected the file's end or another block behind the values"
+                raise DataError(f"{self.path}: {expected}, found {rest} bytes that begin with {shown(line, 40)}")
+            at = behind
 
     def angles(self, unit: str) -> tuple[np.ndarray, str]:
         """theta and phi of light and viewer at all nodes, radians, `(N, 4)`; and in which unit they were."""
@@ -197,6 +222,20 @@ class _Block:
         seen = _angles_of(wo)
         seen[:, 1] += turn
         return np.concatenate([np.stack([first, turn], -1), seen], -1), words
+
+
+def read_size(count: int, channels: int) -> int:
+    """Bytes that so many rows of values become while they are read.
+
+    Args:
+        count: Of rows.
+        channels: Of each.
+
+    Example:
+        >>> read_size(1000, 3)
+        500000
+    """
+    return count * (_BYTES_A_ROW + channels * _BYTES_A_VALUE)
 
 
 def half_directions(
@@ -233,6 +272,19 @@ def _numbers(text: str) -> np.ndarray | None:
     except ValueError:
         return None
     return found if np.isfinite(found).all() and "_" not in text else None
+
+
+def _version(path: Path, data: bytes) -> dict[str, object]:
+    """What there is to say of a file's version: nothing of those that are known, and of others in front of 1."""
+    found = _VERSION.search(data)
+    said = found[1].decode("utf-8", "replace").strip() if found else ""
+    if not re.fullmatch(r"0\.[0-9]+(\.[0-9]+)*", said):
+        raise DataError(f"{path}: VERSION: expected {VERSION}, found {shown(said)}")
+    if said.split(".")[:2] in _READ:
+        return {}
+    doubt = f"{shown(said)[1:-1]}, which is read as {VERSION}"
+    notice(path, f"version: {doubt}")
+    return {"version": doubt}
 
 
 def _find_brdf(path: Path, data: bytes) -> _Block:

@@ -66,6 +66,7 @@ class StandIn(BrdfFormat):
     is_sampled = False
     on_merl_bins = True
     one_a_file = False
+    is_joined = True
 
     def __init__(
         self, records: list[FitRecord], paths: Sequence[Path], settings: Mapping[str, str] | None = None
@@ -105,6 +106,14 @@ class StandIn(BrdfFormat):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its records and names."""
         return _named, (self.records, self.paths, self.told, list(self.names))
+
+    @classmethod
+    def joined(cls, sources: Sequence[BrdfFormat]) -> BrdfFormat:
+        """One source of several, whose files are not read again."""
+        own = [one for one in sources if isinstance(one, StandIn)]
+        records = [record for one in own for record in one.records]
+        paths = [path for one in own for path in one.paths]
+        return sources[0] if len(sources) == 1 else cls(records, paths, sources[0].told)
 
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:

@@ -11,6 +11,8 @@ _REPEATED, _ROUNDING = 1e-3, 1e-5
 # What makes a number of a place, by sums that wrap.
 _MIXED = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5, 0x85EBCA77C2B2AE63,
                    0xFF51AFD7ED558CCD], dtype=np.uint64).view(np.int64)  # fmt: skip
+ALIKE = "with the same values"
+"""What is said of repetitions that change nothing."""
 # A list of angles that is longer is said by its ends.
 _FEW = 12
 
@@ -66,7 +68,7 @@ def _places(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
 
 
 def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
-    """What there is to say of samples at the same directions with other values; "" where there are none.
+    """What there is to say of samples at the same directions, and whether values are others; "" where there are none.
 
     Args:
         wi: Unit vectors to the light, `(N, 3)`.
@@ -85,7 +87,7 @@ def repeated(wi: np.ndarray, wo: np.ndarray, values: np.ndarray) -> str:
     apart = (-ends[1] - ends[0]).max(1) / np.maximum(level, 1e-30)
     other = several & (apart > _ROUNDING)
     if not other.any():
-        return ""
+        return f"{int(count[several].sum())} samples at {int(several.sum())} places, {ALIKE}"
     half, most = (100 * float(one(apart[other])) for one in (np.median, np.max))
     size = f"half of them {half:.2g} % apart or more, at most {most:.2g} %"
     return f"{int(count[other].sum())} samples at {int(other.sum())} places, {size}; interpolated by their means"

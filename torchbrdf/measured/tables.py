@@ -36,8 +36,10 @@ def values_at(brdf: Brdf, pairs: Pairs) -> Tensor:
         UsageError: It is neither, or several materials.
         DataError: Its values are bands, and not linear RGB.
     """
-    check_single(brdf, pairs.is_oriented)
+    check_single(brdf)
     check_rgb(brdf, "a table")
+    if isinstance(brdf, Lobe) and brdf.is_anisotropic and not pairs.is_oriented:
+        raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
     found = torch.empty(len(pairs), 3, dtype=torch.float64, device="cpu")
     own = None if isinstance(brdf, Measured) else next(brdf.parameters(), None)
     device = None if own is None else own.device
@@ -64,10 +66,8 @@ def check_rgb(brdf: Brdf, who: str) -> None:
         raise DataError(f"{who}: expected linear RGB, found {found}; give its FitRecord, or its fits.json")
 
 
-def check_single(brdf: Brdf, has_room: bool = False) -> None:
-    """Refuse what is not one material, and a lobe with a grain unless a table has room for it."""
-    if isinstance(brdf, Lobe) and brdf.is_anisotropic and not has_room:
-        raise UsageError("a table: expected an isotropic material, found a lobe with a grain, for which it has no room")
+def check_single(brdf: Brdf) -> None:
+    """Refuse what is not one material."""
     if isinstance(brdf, Measured):
         count = len(brdf)
     elif isinstance(brdf, Lobe):

@@ -36,6 +36,11 @@ class Field(NamedTuple):
     shape: tuple[int, ...]
 
 
+def _size(field: Field) -> int:
+    """Bytes of a field."""
+    return math.prod(field.shape) * field.dtype.itemsize
+
+
 class TensorFile:
     """Tensor file of RGL: `fields` says what there is, `array` copies one."""
 
@@ -71,10 +76,13 @@ class TensorFile:
                     f"{self.path}: field {shown(name)}: unknown type {kind}, {dims} dimensions, or named twice"
                 )
             field = Field(np.dtype(f"<{TYPES[kind]}"), offset, take(f"{dims}Q"))
-            stop = offset + math.prod(field.shape) * field.dtype.itemsize
+            stop = offset + _size(field)
             if stop > end:
                 raise DataError(f"{self.path}: truncated: field {shown(name)} ends at byte {stop}, the file at {end}")
             fields[name] = field
+        stop = max((field.offset + _size(field) for field in fields.values()), default=end)
+        if stop < end:
+            raise DataError(f"{self.path}: expected {stop} bytes, where the last field ends, found {end}")
         return list(fields.items())
 
     def array(self, name: str, shape: Sequence[int | None], kind: str = "f") -> np.ndarray:

@@ -8,8 +8,9 @@ from pathlib import Path
 import torch
 
 from torchbrdf.errors import DataError
+from torchbrdf.measured.find import Paths, by_format, find_files
 from torchbrdf.measured.format import FORMATS
-from torchbrdf.measured.load import Paths, alike, check_settings, grouped, open_good, unique_names
+from torchbrdf.measured.load import check_settings, open_good, unique_names
 from torchbrdf.measured.measured import Measured
 from torchbrdf.names import clean_name
 
@@ -48,8 +49,8 @@ class Unopened:
         """Some of the files."""
         return replace(self, paths=[self.paths[k] for k in materials], names=[self.names[k] for k in materials])
 
-    def opened(self, bad: list[DataError]) -> Measured | None:
-        """What was measured; None if no file is good.
+    def opened(self, bad: list[DataError]) -> list[Measured]:
+        """What was measured, of good files; where bands are kept, of files with the same bands together.
 
         Args:
             bad: Takes the errors of bad files, so that the others are opened.
@@ -77,17 +78,13 @@ def load_later(
         >>> load_later([standins()])
         [Measured(fits: alum-bronze, aluminium, blue-acrylic, ...; 10 materials, 1096216 pairs)]
     """
-    groups = grouped(paths, bad)
+    groups = by_format(find_files(paths, bad), bad)
     check_settings(groups, settings)
     found: list[Measured | Unopened] = []
     for name, members in groups.items():
         if FORMATS[name].one_a_file:
             given = unique_names([clean_name(FORMATS[name].name_of(path)) for path in members], members)
-            own_names = dict(zip(members, given, strict=True))
-            found += [
-                Unopened(name, own, [own_names[path] for path in own], settings, device)
-                for own in alike(name, members, bad, settings)
-            ]
-        elif (opened := open_good(name, members, bad, None, device, settings)) is not None:
-            found.append(opened)
+            found.append(Unopened(name, members, given, settings, device))
+        else:
+            found += open_good(name, members, bad, None, device, settings)
     return found

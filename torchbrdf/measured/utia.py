@@ -73,6 +73,12 @@ class Utia(BrdfFormat):
             return bool(((first == 0) | ((first > 1e-12) & (first < 1e9)) | ~np.isfinite(first)).all())
 
     @classmethod
+    def hint(cls, path: Path, head: bytes) -> str:
+        """Which size a table of it would have."""
+        size = path.stat().st_size if path.suffix.lower() == ".bin" else 0
+        return f"a .bin of {size} bytes, and not the {BYTES} of a UTIA table" if size and size != BYTES else ""
+
+    @classmethod
     def open(cls, paths: Sequence[Path], settings: Mapping[str, str] | None = None) -> "Utia":
         """Read and check tables; DataError for a wrong size, or no valid entry."""
         return cls(paths, settings)

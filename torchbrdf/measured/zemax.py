@@ -12,10 +12,14 @@ from torchbrdf.measured.rows import head_lines, parse_rows, text_lines
 
 _EXPECTED = "a BSDF interchange file"
 _AXES = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
-_SYMMETRIES = ("planesymmetrical", "asymmetrical", "asymmetrical4d")
-_LARGEST = 100_000
 # Of XYZ, the luminance; tables of the others are passed over.
-_CONTENTS = ("monochrome", "xyz")
+_KNOWN = {
+    "Symmetry": ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D"),
+    "SpectralContent": ("Monochrome", "XYZ"),
+}
+# Of these a header has two at least.
+_NAMES = {"scattertype", "symmetry", "spectralcontent", "scatterazimuth", "scatterradial", "samplerotation"}
+_LARGEST = 100_000
 _NOT_MEASURED = 0.0
 
 
@@ -34,7 +38,7 @@ class Zemax(ListedFormat):
     def recognises(cls, path: Path, head: bytes) -> bool:
         """Whether it is an interchange file, by names that its header has."""
         names = {line.split(None, 1)[0].lower() for line in head_lines(path, head)}
-        return "scattertype" in names and "symmetry" in names
+        return len(_NAMES & names) > 1
 
     def parse(self, path: Path) -> Listed:
         """What a file says."""
@@ -43,9 +47,9 @@ class Zemax(ListedFormat):
         said = {key: " ".join(words.get(key, [])) for key in ("scattertype", "symmetry", "spectralcontent", "source")}
         if said["scattertype"].lower() != "brdf":
             raise DataError(f"{path}: ScatterType: expected BRDF, found {shown(said['scattertype'])}")
-        if said["symmetry"].lower() not in _SYMMETRIES or said["spectralcontent"].lower() not in _CONTENTS:
-            found = shown(f"{said['symmetry']}, {said['spectralcontent']}")
-            raise DataError(f"{path}: expected a known Symmetry, and Monochrome or XYZ, found {found}")
+        for key, known in _KNOWN.items():
+            if said[key.lower()].lower() not in map(str.lower, known):
+                raise DataError(f"{path}: {key}: expected {', '.join(known)}, found {shown(said[key.lower()])}")
         facts: dict[str, object] = {}
         axes = [_axis(path, lines, name, facts) for name in _AXES]
         shape = [len(axis) for axis in axes]
@@ -65,7 +69,9 @@ class Zemax(ListedFormat):
         turn, light = -rotation.reshape(-1), incidence.reshape(-1)
         between, values = np.arctan2(wo[:, 1], wo[:, 0]), values.reshape(-1, 1)
         angles = np.stack([light, turn, theta_o, between + turn], -1)
-        if said["symmetry"].lower() == _SYMMETRIES[0] and shape[0] > 1:  # of one rotation it would say nothing more
+        if (
+            said["symmetry"].lower() == _KNOWN["Symmetry"][0].lower() and shape[0] > 1
+        ):  # of one rotation it would say nothing more
             angles = np.concatenate([angles, np.stack([light, turn, theta_o, turn - between], -1)])
             values = np.concatenate([values, values])
             facts["mirrored"] = "at the plane of incidence, as the symmetry says"
@@ -104,6 +110,10 @@ def _values(path: Path, lines: list[str], shape: list[int], content: str) -> np.
     wanted = 1 if content == "xyz" else 0  # X, Y, Z behind each other: Y
     if len(begins) <= wanted:
         raise DataError(f"{path}: expected DataBegin, found {len(begins)} of them")
+    last = max((k for k, line in enumerate(low) if line == "dataend"), default=len(lines))
+    rest = next((line for line in lines[last + 1 :] if line and line[0] != "#"), "")
+    if rest:
+        raise DataError(f"{path}: expected the file's end behind the last DataEnd, found {shown(rest, 40)}")
     start = begins[wanted]
     end = next((k for k in range(start, len(low)) if low[k] == "dataend"), len(lines))
     rows = ["#" if line.lower().startswith("tis") else line for line in lines[start + 1 : end]]

@@ -56,6 +56,7 @@ class Comparison:
                         }
                         for name, value in one.metrics.items()
                     },
+                    "is_same": one.is_same,
                     "pairs_measured": one.pairs[0],
                     "pairs": one.pairs[1],
                     "scenes": {name: own.to_json() for name, own in one.figures.items()},
@@ -152,6 +153,6 @@ def _lines(one: Compared) -> list[str]:
         parts = [f"{difference_label(name)} {value:.2f}" for name, value in figures.differences.items()]
         words = said("delta_e76", figures.delta_e76)
         lines.append(f"picture, {scene}: {', '.join(parts)}" + (f"; {words}" if words else ""))
-    if one.places:
-        lines += ["where they differ most:", *(f"  {place.words}" for place in one.places)]
+    if one.where:
+        lines += ["where they differ most:", *(f"  {words}" for words in one.where)]
     return lines

@@ -44,7 +44,7 @@ def write_compare_page(
     page = template("compare.html").render(
         title=f"{labels[0]} beside {', '.join(labels[1:3])}" + (f" and {len(labels) - 3} more" * (len(labels) > 3)),
         reference=subject.label,
-        others=[{"label": one.subject.label, "words": [place.words for place in one.places]} for one in others],
+        others=[{"label": one.subject.label, "words": one.where} for one in others],
         rows=_rows(others),
         notes=_notes(others),
         scenes=list(reference.scenes),
