@@ -1,7 +1,7 @@
 """What error the noise of a measurement alone makes: below it there is nothing to fit."""
 
 import math
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -49,7 +49,7 @@ class NoiseRecords:
 
     def __init__(self, measured: Measured) -> None:
         self.measured = measured
-        self._kept_draw = lru_cache(_KEPT)(self._draw)
+        self._draws: dict[tuple[tuple[int, ...], int], tuple[Problem, Tensor]] = {}
 
     @torch.no_grad()
     def of(self, loss: Loss, seed: int = 0) -> list[dict[str, Any]]:
@@ -73,7 +73,7 @@ class NoiseRecords:
     def _errors(self, materials: tuple[int, ...], loss: Loss, seed: int) -> list[float]:
         """Of each material the error between its measurement and itself with more of its noise."""
         if type(loss).problem is Loss.problem and loss.supports_subsampling:
-            problem, again = self._kept_draw(materials, seed)
+            problem, again = self._draw(materials, seed)
         else:
             own = self.measured.batch(list(materials))
             index = stratified(len(own.pairs), _PAIRS, seed) if loss.supports_subsampling else None
@@ -83,11 +83,17 @@ class NoiseRecords:
         return found
 
     def _draw(self, materials: tuple[int, ...], seed: int) -> tuple[Problem, Tensor]:
-        """A subset of measurements, as most losses have it, and its values with more noise."""
+        """A subset of measurements, as most losses have it, and its values with more noise; kept for the next loss."""
+        if (kept := self._draws.get((materials, seed))) is not None:
+            return kept
         own = self.measured.batch(list(materials))
         index = stratified(len(own.pairs), _PAIRS, seed)
         part = own if index is None else own.batch(samples=index.to(own.device))
-        return Problem(part.pairs, part.values, part.weight), self._noisy(materials, part.values, seed)
+        made = Problem(part.pairs, part.values, part.weight), self._noisy(materials, part.values, seed)
+        while len(self._draws) >= _KEPT:
+            del self._draws[next(iter(self._draws))]
+        self._draws[materials, seed] = made
+        return made
 
     def _noisy(self, materials: tuple[int, ...], values: Tensor, seed: int) -> Tensor:
         noises = (noise for k in materials if (noise := self._noises[k]) is not None)
