@@ -67,8 +67,8 @@ def test_noise_is_told_once_and_as_for_each_loss_alone(measured, monkeypatch):
     values = make_model("ward", 1).batched(1)(material) * (1 + 0.1 * torch.randn(1, 2000, 3))
     given = type(measured).from_samples(material, values.detach())
     calls = []
-    told = noise.noise_of
-    monkeypatch.setattr(noise, "noise_of", lambda one: calls.append(one) or told(one))
+    told = noise.noises_of
+    monkeypatch.setattr(noise, "noises_of", lambda all_: calls.append(all_) or told(all_))
     records, losses = NoiseRecords(given), [RMSLoss(), CosineRMSLoss(), CubeRootLoss()]
     together = [records.of(loss) for loss in losses]
     assert len(calls) == 1
