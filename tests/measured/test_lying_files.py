@@ -1,5 +1,6 @@
 """Files that say one thing and hold another: what is wrong is said of the format that they are of."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -127,9 +128,36 @@ def test_values_that_are_too_large_are_counted(tmp_path: Path, caplog: pytest.Lo
     lines[9] = ",".join([*lines[9].split(",")[:3], "1", "inf", "1"])
     path = tmp_path / "x.csv"
     path.write_text("\n".join(lines) + "\n")
-    said = f"2 of {len(angles())} samples: values above 1e+08 / sr"
+    said = f"2 whose values are above 1e+08 / sr, of {len(angles())} samples"
     assert describe(path)["left out"] == said and f"{path}: left out: {said}" in caplog.text
     assert load(path).weight.sum() == len(angles()) - 2
+
+
+def test_samples_that_are_none_are_said_by_kind(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    lines = columns().splitlines()
+    for row, (place, value) in {7: (3, "nan"), 8: (1, "95"), 9: (1, "169"), 10: (1, "90")}.items():
+        cells = lines[row].split(",")
+        lines[row] = ",".join([*cells[:place], value, *cells[place + 1 :]])
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join(lines) + "\n")
+    said = "2 whose light or viewer is below the horizon, 1 at the horizon, 1 without a value"
+    whole = f"{said}, of {len(angles())} samples"
+    assert describe(path)["left out"] == whole and f"{path}: left out: {whole}" in caplog.text
+    caplog.clear()
+    lines = columns().splitlines()
+    lines[10] = ",".join([lines[10].split(",")[0], "90", *lines[10].split(",")[2:]])
+    path.write_text("\n".join(lines) + "\n")
+    assert describe(path)["left out"] == f"1 at the horizon, of {len(angles())} samples"
+    assert "left out" not in caplog.text  # where a BRDF has no value, and many instruments have a row
+
+
+def test_a_sign_that_was_lost_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    lines = columns().splitlines()
+    lines[2::4] = [",".join([*line.split(",")[:3], *(f"-{v}" for v in line.split(",")[3:])]) for line in lines[2::4]]
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join(lines) + "\n")
+    load(path)
+    assert re.search(r"x\.csv: 2[456]\.?\d? % of the samples are below 0, as no reflectance is", caplog.text)
 
 
 def test_another_count_of_rows_than_the_header_has_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -221,7 +221,7 @@ def _notes(record: "FitRecord") -> list[str]:
     """What else there is to say of a fit."""
     notes = [record.reason] if record.reason else []
     black = record.error == 0 and not any(record.parameters.get("diffuse", [1.0]))
-    notes += ["all values are 0, which every model fits"] if black else []
+    notes += ["no value is above 0, which every model fits"] if black else []
     notes += [f"under {record.chosen}"] if record.chosen else []
     notes += [f"an error as of the noise alone, {short(record.noise['error'])}"] if record.has_reached_noise else []
     notes += [f"{record.ties} other minim{'um' if record.ties == 1 else 'a'} within 1 %"] if record.ties else []

@@ -34,6 +34,7 @@ class Listing(NamedTuple):
         wavelengths: Of the bands, nm, C; None of linear RGB and of one band alone.
         is_own: Whether they are the measurement's own samples.
         has_grain: Whether they are of an anisotropic material.
+        left_out: Which of the measurement's samples are not among them, in words.
     """
 
     angles: np.ndarray
@@ -41,12 +42,14 @@ class Listing(NamedTuple):
     wavelengths: tuple[float, ...] | None
     is_own: bool
     has_grain: bool
+    left_out: str = ""
 
     @property
     def note(self) -> str:
         """What is listed, in words."""
         if self.is_own:
-            return f"its own {len(self.values)} samples"
+            rest = f"; left out: {self.left_out}" if self.left_out else ""
+            return f"its own {len(self.values)} samples{rest}"
         lights = len(np.unique(self.angles[:, 0].round(6)))
         return f"resampled at {len(self.values)} pairs: {lights} angles of the light, half vectors all around"
 
@@ -88,7 +91,8 @@ def listing(brdf: Brdf) -> Listing:
         if not brdf.is_anisotropic and len(np.unique(turns)) > 1:  # which readers would take for those of a grain
             angles[:, 3] -= angles[:, 1]
             angles[:, 1] = 0
-        return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True, brdf.is_anisotropic)
+        left_out = str(brdf.source.reading(brdf.materials[0]).get("left out", ""))
+        return Listing(angles, brdf.values[0, valid].numpy(), wavelengths, True, brdf.is_anisotropic, left_out)
     pairs = _around_mirrors(brdf.is_anisotropic)
     return Listing(_angles(pairs), values_in_bands(brdf, pairs).numpy(), wavelengths, False, brdf.is_anisotropic)
 

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchbrdf.errors import DataError, shown
+from torchbrdf.errors import DataError, TorchbrdfError, shown
 from torchbrdf.executors import Place, side_by_side
 from torchbrdf.fitting.api import diffuse_mode, fit
 from torchbrdf.fitting.blocks import FILE, Block, FitBlock, Fitted, Group, Judge, block_size, check_distinct, input_of
@@ -191,17 +191,25 @@ class Batches:
         """
         groups = [group for group in groups if len(group)]
         self.earlier = {}
-        work = self._in_memory(groups) if self.folder is None else self._of_folder(self.folder, groups, shard, bad)
-        done = work.done
-        progress(done, work.total)
-        for block, fitted in self._all_fitted(work.blocks, executor):
-            if self.folder is not None and fitted.records:
-                self.folder.add(block.part, fitted.records, bad=(Status.LOST,))
-            bad += fitted.left_out
-            self.judged |= fitted.judged
-            done += len(block.group)
+        try:
+            work = self._in_memory(groups) if self.folder is None else self._of_folder(self.folder, groups, shard, bad)
+            done = work.done
             progress(done, work.total)
-            yield fitted.records
+            for block, fitted in self._all_fitted(work.blocks, executor):
+                if self.folder is not None and fitted.records:
+                    self.folder.add(block.part, fitted.records, bad=(Status.LOST,))
+                bad += fitted.left_out
+                self.judged |= fitted.judged
+                done += len(block.group)
+                progress(done, work.total)
+                yield fitted.records
+        except TorchbrdfError:
+            self._leave_nothing_empty()
+            raise
+        self._leave_nothing_empty()
+
+    def _leave_nothing_empty(self) -> None:
+        """Of work that nothing came of, such as a refused model, no manifest stays that would refuse another."""
         if self.folder is not None:
             self.folder.remove_if_empty()
 

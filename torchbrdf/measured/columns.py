@@ -12,6 +12,7 @@ from torchbrdf.measured.bands import columns_of_bands
 from torchbrdf.measured.format import FORMATS
 from torchbrdf.measured.grain import GRAINS, said_grain
 from torchbrdf.measured.listed import Listed, ListedFormat
+from torchbrdf.measured.notices import notice
 from torchbrdf.measured.rows import head_lines, lines_of, parse_rows
 from torchbrdf.reading import npz_arrays, read_bytes
 
@@ -73,6 +74,7 @@ class Columns(ListedFormat):
             phi_i, phi_o = column["phi_i"], column["phi_o"]
             if "phi" in names:
                 facts["azimuths"] = "those of the columns phi_i and phi_o; phi was passed over"
+                notice(path, f"azimuths: {facts['azimuths']}")
         elif "phi" in names:
             phi_i, phi_o = np.zeros_like(column["phi"]), column["phi"]
         else:

@@ -38,6 +38,9 @@ LEAST_COSINE = 1e-4
 """Directions nearer to the horizon are at it, but for rounding: what is said there is no BRDF's value."""
 LARGEST_VALUE = 1e8
 """Larger values, in 1/sr, are no reflectance."""
+_AT_HORIZON = "at the horizon"
+# The share of samples below 0 that is no longer noise.
+_MANY_NEGATIVE = 0.1
 # Numbers of directions up to which they are kept for the next file.
 _FEW = 1_000_000
 QUANTITIES = ("brdf", "brdf_cosine", "reflectance_factor")
@@ -117,6 +120,18 @@ def _directions(listed: Listed) -> _Directions:
     return known[0]
 
 
+def _left_out(known: _Directions, read: np.ndarray, large: np.ndarray) -> list[str]:
+    """Which samples are none, and why: how many of each kind."""
+    below = np.minimum(known.wi[:, 2], known.wo[:, 2])
+    kinds = {
+        "whose light or viewer is below the horizon": ~known.above & (below < 0),
+        _AT_HORIZON: ~known.above & (below == 0),
+        "without a value": known.above & ~read,
+        f"whose values are above {LARGEST_VALUE:g} / sr": large,
+    }
+    return [f"{int(one.sum())} {kind}" for kind, one in kinds.items() if one.any()]
+
+
 class Opened(NamedTuple):
     """What was read of one file: directions, values and validity of N samples, facts, and the rest."""
 
@@ -181,6 +196,7 @@ class ListedFormat(BrdfFormat):
             values *= _factor(listed.quantity, wo[:, 2])
             valid = above & (np.abs(values) <= LARGEST_VALUE).all(1)
             large = above & (np.abs(values) > LARGEST_VALUE).any(1)
+            values_read = np.isfinite(values).all(1) | large
         if not valid.any():
             if above.any():
                 expected = f"expected values up to {LARGEST_VALUE:g} / sr, found"
@@ -194,9 +210,13 @@ class ListedFormat(BrdfFormat):
             facts["repeated directions"] = again
             if not again.endswith(ALIKE):
                 notice(path, f"repeated directions: {again}")
-        if large.any():
-            facts["left out"] = f"{int(large.sum())} of {len(valid)} samples: values above {LARGEST_VALUE:g} / sr"
-            notice(path, f"left out: {facts['left out']}")
+        if said := _left_out(known, values_read, large):
+            facts["left out"] = f"{', '.join(said)}, of {len(valid)} samples"
+            if any(_AT_HORIZON not in one for one in said):
+                notice(path, f"left out: {facts['left out']}")
+        negative = (values[valid] < 0).any(1).mean()
+        if negative > _MANY_NEGATIVE:
+            notice(path, f"{100 * negative:.3g} % of the samples are below 0, as no reflectance is")
         own = listed.grain if told == GRAINS[0] else told
         if known.has_azimuths or own == "anisotropic":
             grain = grain_of(wi[valid], wo[valid], values[valid].mean(-1), own)

@@ -133,7 +133,9 @@ class BinnedObjective(PointwiseObjective):
 
         comparison, target = self._comparison(rows), self.target_code
         binned = sums.binned
-        assert binned is not None
+        if binned is None:  # not a single pair
+            count = jacobian.shape[2] + albedos.shape[2]
+            binned = comparison.bins.mass.new_zeros(len(albedos), 1, count, comparison.bins.mass.shape[-1])
         responses = (binned / comparison.bins.mass[:, :, None]).expand(-1, albedos.shape[1], -1, -1)  # (m, C, Q, B)
         components = responses[:, :, responses.shape[2] - albedos.shape[2] :]
         averages = torch.einsum("rck,rckb->rcb", albedos.double(), components)
