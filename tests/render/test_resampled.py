@@ -13,7 +13,7 @@ from torchbrdf.measured import Measured, resampled
 from torchbrdf.measured.resampled import ForPictures, Resampled
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Camera, Scene, blob, render
-from torchbrdf.render.draw import render_directly
+from torchbrdf.render.draw import render_by_transport, render_directly
 
 
 def sampled(brdf=brushed, colours=(1.0, 1.0, 1.0), noise=0.0, anisotropic=True):
@@ -117,3 +117,16 @@ def test_a_grid_is_made_once_and_given_up_for_room(coloured, monkeypatch):
         assert len(made) == 4
         ForPictures(both.batch([0]))
         assert len(made) == 5
+
+
+def test_what_has_no_grain_beside_it_comes_from_the_transport(scene):
+    """Pictures keep their order, also where materials of both kinds are of one source."""
+    grain = sampled()
+    flat = Measured.from_samples(grain.pairs, grain.values.float(), anisotropic=False)
+    alone = torch.cat([render(grain, scene), render_by_transport([flat], scene)])
+    torch.testing.assert_close(render([grain, flat], scene), alone)
+    torch.testing.assert_close(render([flat, grain], scene), alone.flip(0))
+    both = Measured.from_samples(grain.pairs, grain.values.expand(3, -1, -1), anisotropic=True)
+    both.source.has_grain = lambda material: material == 1
+    assert both.is_anisotropic and not both.batch([0, 2]).is_anisotropic
+    torch.testing.assert_close(render(both, scene), alone[[1, 0, 1]])

@@ -23,7 +23,7 @@ from torchbrdf.measured.scattered import Angles, Places, Surface
 from torchbrdf.pairs import Pairs
 
 SHAPE = (40, 90, 20, 36)
-"""Entries of theta_h's root, of the half vector's azimuth, of theta_d, and of the difference's azimuth in half a turn."""
+"""Entries of theta_h's root, the half vector's azimuth, theta_d, and the difference's azimuth in half a turn."""
 MUCH = 6.0
 """Light, in means of a pixel's pairs, from which on a pair is asked for between the samples."""
 FINE = 0.1
