@@ -58,7 +58,7 @@ def test_the_grid_has_the_values_that_are_between_samples(coloured):
     found, wanted = grid.at(pairs), coloured.at(pairs)[0]
     assert found.dtype == torch.float32 and found.shape == (4000, 3)
     apart = (found / wanted).log().abs().amax(-1)
-    assert apart.median() < 0.01 and apart.quantile(0.99) < 0.2
+    assert apart.median() < 0.025 and apart.quantile(0.9) < 0.15
     # Light and viewer can change places; below the horizon there is nothing.
     torch.testing.assert_close(found, grid.at(Pairs.from_directions(wo, wi)), rtol=2e-3, atol=1e-4)
     assert (grid.at(Pairs.from_directions(wi * torch.tensor([1.0, 1.0, -1.0]), wo)) == 0).all()
