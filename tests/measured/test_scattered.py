@@ -184,7 +184,7 @@ def test_values_do_not_depend_on_what_else_is_asked(make, interpolation):
 def test_lobes_that_are_flat_are_left_out():
     """Most widths are: each costs as much as one that is not."""
     source = sampled(GLOSSY, goniometer(step=6)).source
-    _, surface = source._surface(0)
+    _, surface = source.surface(0)
     used = surface._widths
     assert 0 < len(used) < 9
     heights = torch.from_numpy(surface._heights)

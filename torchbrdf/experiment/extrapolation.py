@@ -10,6 +10,7 @@ from torchbrdf.experiment.matching.judge import Brdf, values_of
 from torchbrdf.measured import Measured
 from torchbrdf.measured.measured import FAR
 from torchbrdf.measured.plausibility import invalid_share
+from torchbrdf.measured.resampled import ForPictures
 from torchbrdf.pairs import Pairs
 from torchbrdf.render import Scene
 
@@ -47,7 +48,10 @@ def extrapolated_share(brdf: Brdf, scene: Scene) -> Tensor:
     far = is_extrapolated(brdf, scene.pairs) if has_gaps(brdf) else None
     if far is None or not far.any():
         return torch.zeros(scene.size, scene.size, dtype=torch.float32, device="cpu")
-    values = values_of(brdf, scene.pairs).clamp_min(0)
+    if has_gaps(brdf) and brdf.is_anisotropic:  # as it was drawn
+        values = ForPictures(brdf)(Pairs.from_directions(scene.pairs.wi, scene.pairs.wo)).clamp_min(0)
+    else:
+        values = values_of(brdf, scene.pairs).clamp_min(0)
     found = scene.transport @ torch.cat([values * far[None, :, None], values])
     part, whole = luminance(found)
     return torch.where(whole > 0, part / whole.clamp_min(1e-12), 0)

@@ -85,6 +85,10 @@ class InColors(BrdfFormat):
         """As the other format has it."""
         return self.source.is_scattered
 
+    def has_grain(self, material: int) -> bool:
+        """As the other format has it."""
+        return self.source.has_grain(material)
+
     @classmethod
     def recognises(cls, path: Path, head: bytes) -> bool:
         """No file is of this format."""

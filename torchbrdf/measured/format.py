@@ -173,7 +173,7 @@ class BrdfFormat(ABC):
             found: tuple[Places, int, Near] | None = None
             for row, material in enumerate(materials):
                 own = row if pairs.shape[0] > 1 else 0
-                places, surface = self._surface(material)
+                places, surface = self.surface(material)
                 if found is None or found[0] is not places or found[1] != own:
                     angles = Angles.of(pairs.select(samples=part), own, places.has_grain)
                     found = places, own, places.near(angles, *([] if neighbours is None else [neighbours]))
@@ -194,7 +194,7 @@ class BrdfFormat(ABC):
         """Without what is made of the samples again."""
         return {name: value for name, value in self.__dict__.items() if name != "_made_ready"}
 
-    def _surface(self, material: int) -> tuple[Places, Surface]:
+    def surface(self, material: int) -> tuple[Places, Surface]:
         """Where a material has valid samples, and its values there."""
         found: tuple[Places, Surface] | None = self._ready.get(material)
         if found is None:

@@ -138,7 +138,7 @@ class Measured(InBands):
     @property
     def is_anisotropic(self) -> bool:
         """Whether values depend on how the surface is turned about its normal: on the azimuths of both directions."""
-        return self.source.is_anisotropic
+        return self.source.is_anisotropic and any(map(self.source.has_grain, self.materials))
 
     @property
     def may_be_anisotropic(self) -> bool:

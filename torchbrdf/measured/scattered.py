@@ -70,11 +70,18 @@ class Angles(NamedTuple):
         theta_h, theta_d, cos_i, cos_o = (
             part[0].double().cpu().numpy() for part in (own.theta_h, own.theta_d, own.cos_i, own.cos_o)
         )
+        grain = _azimuths(*(part[0].double().cpu().numpy() for part in (own.wi, own.wo))) if has_grain else None
+        return cls.at(theta_h, theta_d, cos_i, cos_o, grain)
+
+    @classmethod
+    def at(
+        cls, theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray, grain: np.ndarray | None
+    ) -> "Angles":
+        """With what follows of the cosines."""
         # |cos_i - cos_o| = 2 sin theta_h sin theta_d |cos phi_d|: where that is 0, phi_d does not matter.
         sines = 2 * np.sin(theta_h) * np.sin(theta_d)
         along = np.abs(cos_i - cos_o) / np.where(sines > _TINY, sines, 1)
         cosines = np.maximum(cos_i, _LEAST) * np.maximum(cos_o, _LEAST)
-        grain = _azimuths(*(part[0].double().cpu().numpy() for part in (own.wi, own.wo))) if has_grain else None
         return cls(theta_h, theta_d, np.arccos(np.clip(along, 0, 1)), cosines, grain)
 
     def select(self, index: np.ndarray) -> "Angles":

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import zip_longest
+from itertools import accumulate, groupby, zip_longest
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from torchbrdf.errors import UsageError
 from torchbrdf.lobes import Lobe
 from torchbrdf.lobes.parameter_dict import get_parameters, named_specs, take_materials, with_parameters
 from torchbrdf.measured import Measured
+from torchbrdf.measured.resampled import ForPictures
 from torchbrdf.measured.tables import check_rgb
 from torchbrdf.pairs import Pairs
 from torchbrdf.parallel import thread_map
@@ -62,7 +63,41 @@ def render(brdf: Brdf | Sequence[Brdf], scene: Scene, progress: Progress | None 
     known = [one for one in brdfs if isinstance(one, Lobe | Measured)]
     if len(known) == len(brdfs) and worth_a_transport(known, sum(map(_pictures, known)), scene.is_compact):
         return render_by_transport(known, scene, progress)
+    parts = [part for one in brdfs for part in _alike(one)]
+    flat = list(map(_is_flat, parts))
+    if any(flat) and not all(flat):
+        return _in_two_ways(parts, flat, scene, progress)
     return render_directly(brdfs, scene, progress)
+
+
+def _alike(brdf: Brdf) -> list[Brdf]:
+    """A BRDF, or measured materials of scattered samples in parts, with a grain and without."""
+    if not isinstance(brdf, Measured) or not brdf.is_scattered or not brdf.is_anisotropic:
+        return [brdf]
+    each = [brdf.batch([row]) for row in range(len(brdf))]
+    runs = [len(list(run)) for _, run in groupby(each, lambda one: one.is_anisotropic)]
+    ends = list(accumulate(runs))
+    return [brdf.batch(list(range(end - run, end))) for run, end in zip(runs, ends, strict=True)]
+
+
+def _is_flat(brdf: Brdf) -> bool:
+    """Whether it is of scattered samples without a grain, which take long to look up, and have a transport."""
+    return isinstance(brdf, Measured) and brdf.is_scattered and not brdf.is_anisotropic and is_reciprocal(brdf)
+
+
+def _in_two_ways(parts: Sequence[Brdf], flat: Sequence[bool], scene: Scene, progress: Progress | None) -> Tensor:
+    """Pictures of parts, by the transport where they are flat."""
+    some = [one for one, is_flat in zip(parts, flat, strict=True) if isinstance(one, Measured) and is_flat]
+    by_transport = iter(render_by_transport(some, scene))
+    directly = iter(
+        render_directly([one for one, is_flat in zip(parts, flat, strict=True) if not is_flat], scene, progress)
+    )
+    found = [
+        next(by_transport if is_flat else directly)
+        for one, is_flat in zip(parts, flat, strict=True)
+        for _ in range(_pictures(one) if isinstance(one, Lobe | Measured) else 1)
+    ]
+    return torch.stack(found)
 
 
 def worth_a_transport(brdfs: Sequence[Lobe | Measured], pictures: int, is_there: bool = False) -> bool:
@@ -173,8 +208,14 @@ def _pictures(brdf: Lobe | Measured) -> int:
 def _light(shaders: list[Shader], job: Callable[[], Chunk]) -> tuple[Tensor, list[Tensor]]:
     """The pixels of one chunk, and for each shader what it adds to them, `(m, p, 3)`."""
     pixel, pairs, weight = job()
-    values = (shader(pairs).reshape(-1, *weight.shape) for shader in shaders)
-    return pixel, [torch.stack([(own * weight).sum(1) for own in several]) for several in values]
+    return pixel, [_lit(shader, pairs, weight) for shader in shaders]
+
+
+def _lit(shader: Shader, pairs: Pairs, weight: Tensor) -> Tensor:
+    """What a shader adds to pixels, `(m, p, 3)`."""
+    if isinstance(shader, ForPictures):
+        return shader.light(pairs, weight)
+    return torch.stack([(own * weight).sum(1) for own in shader(pairs).reshape(-1, *weight.shape)])
 
 
 def _shaders(brdf: Brdf) -> list[list[Shader]]:
@@ -186,7 +227,7 @@ def _shaders(brdf: Brdf) -> list[list[Shader]]:
         check_rgb(brdf, "render")
     if isinstance(brdf, Measured):
         rows = range(len(brdf))
-        return [[brdf.batch(rows[start : start + _TABLES]).at] for start in rows[::_TABLES]]
+        return [[ForPictures(brdf.batch(rows[start : start + _TABLES]))] for start in rows[::_TABLES]]
     if isinstance(brdf, Lobe):
         materials = _pictures(brdf)
         values = get_parameters(brdf.batched(materials))
