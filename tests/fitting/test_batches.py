@@ -9,11 +9,11 @@ import pytest
 import torch
 from helpers.known_models import measured_from, some_pairs, two_lobes
 
-from torchbrdf.errors import DataError
+from torchbrdf.errors import DataError, UsageError
 from torchbrdf.fitting import Batches, Status, cross_score, fit
 from torchbrdf.lobes import make_model, read_fits
 from torchbrdf.lobes.parts import FitFolder, part_bytes
-from torchbrdf.losses import CompressedLoss, RMSLoss
+from torchbrdf.losses import CompressedLoss, CubeRootLoss, LearnedLoss, RMSLoss
 from torchbrdf.measured import Measured, load, standins
 
 
@@ -160,4 +160,14 @@ def test_another_material_of_the_same_name_is_refused(tmp_path):
 def test_without_any_pair_a_fit_says_so():
     one = materials(["a"])
     empty = Measured.from_samples(one.pairs.select(samples=slice(0)), one.values[:, :0], names=["a"])
-    assert fit(make_model("ward", 1), empty, CompressedLoss(), diffuse="fit").status == ["no_data"]
+    for loss in (CompressedLoss(), LearnedLoss()):
+        assert fit(make_model("ward", 1), empty, loss, diffuse="fit").status == ["no_data"]
+
+
+def test_a_model_that_is_refused_leaves_no_manifest_behind(tmp_path):
+    paints = load(standins()).batch([6], torch.arange(0, 900_000, 3000))
+    brushed = Batches(make_model("ggx_anisotropic", 1), CubeRootLoss(), out=tmp_path / "fits", samples=None)
+    with pytest.raises(UsageError, match="expected an anisotropic measurement"):
+        brushed.run([paints])
+    found = Batches(make_model("ward", 1), CubeRootLoss(), out=tmp_path / "fits", samples=None).run([paints])
+    assert [record.material for record in found] == ["nickel"]
