@@ -102,8 +102,10 @@ def answers(folder: Path, count: int) -> None:
             pass
 
     make_study(folder)
-    unguarded = "from torchbrdf.study.guard import Begins; Begins.wait = lambda self, address: 0.0\n"  # all from here
-    server = subprocess.Popen([sys.executable, "-c", unguarded + STUDY, str(folder)], stdout=subprocess.PIPE, text=True)
+    # All begin at one address, and there are more of them than a study has unless it is told.
+    many = "from torchbrdf.study.guard import Begins; Begins.wait = lambda self, address: 0.0\n"
+    many += STUDY.replace("port=0", f"port=0, observers={count // TRIALS + OBSERVERS}")
+    server = subprocess.Popen([sys.executable, "-c", many, str(folder)], stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
         port = int(server.stdout.readline().split("/")[2].split(":")[1])
