@@ -65,16 +65,9 @@ def test_no_result_changes(files: list[Path], undisturbed: dict[str, Tensor], mo
     differing = {
         name: (value.dtype, found[name].dtype, (value.double() - found[name].double()).abs().max().item())
         for name, value in undisturbed.items()
-        if value.dtype != found[name].dtype or not _equal(value.nan_to_num(-1), found[name].nan_to_num(-1))
+        if value.dtype != found[name].dtype or not torch.equal(value.nan_to_num(-1), found[name].nan_to_num(-1))
     }
     assert not differing
-
-
-def _equal(value: Tensor, other: Tensor) -> bool:
-    """Bit for bit; doubles to 13 digits, as torch rounds some numbers of Python by the default dtype."""
-    if value.dtype != torch.float64:
-        return torch.equal(value, other)
-    return bool((value - other).abs().le(1e-13 * value.abs()).all())
 
 
 def factories(tree: ast.AST) -> Iterator[tuple[int, str, set[str]]]:

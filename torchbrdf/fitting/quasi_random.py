@@ -32,7 +32,10 @@ def quasi_random_starts(free: Parametrization, values: ParameterDict, count: int
     """
     materials, like = len(next(iter(values.values()))), next(iter(values.values()))
     lower, upper = free.limits()
-    unit = SobolEngine(len(free.free), scramble=True, seed=0).draw(count, dtype=torch.float64)
+    engine = SobolEngine(len(free.free), scramble=True, seed=0)
+    first = engine.quasi.to(torch.float32) / 2**engine.MAXBIT  # which the engine rounds to torch's default dtype
+    unit = engine.draw(count, dtype=torch.float64)
+    unit[:1] = first
     unit = torch.cat([unit[:, k : k + 1].expand(-1, one.width) for k, one in enumerate(free.free)], 1)
     points = (lower + unit * (upper - lower)).to(like.device).repeat_interleave(materials, 0)
     every = {name: value.repeat(count, *[1] * (value.dim() - 1)) for name, value in values.items()}
