@@ -31,7 +31,7 @@ LOCK = ".lock"
 """The file, in a folder, that whoever writes there holds locked."""
 
 _live: set[str] = set()  # temporary files and locks of this process
-_replaced: list[Path] = []  # files that were there before
+_noting: list[dict[Path, None]] = []  # for each `noting_replaced` that is going on, the files that were there before
 _swept: set[Path] = set()  # folders that it has looked for leftovers in
 
 
@@ -56,10 +56,10 @@ def replacing(path: Path | str) -> Iterator[Path]:
         remove_leftovers(target.parent)
         temporary.touch()
         yield temporary
-        was_there = target.name not in _live and target.exists()
+        was_there = bool(_noting) and target.name not in _live and target.exists()
         temporary.replace(target)
         if was_there:
-            _replaced.append(path)
+            _noting[-1][path] = None
     except (OSError, RuntimeError) as error:  # OpenEXR and torch have no other words for a full disk
         raise DataError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
     finally:
@@ -81,12 +81,11 @@ def noting_replaced() -> Iterator[list[Path]]:
         ['new.txt']
     """
     found: list[Path] = []
-    before = len(_replaced)
+    _noting.append({})
     try:
         yield found
     finally:
-        found += dict.fromkeys(_replaced[before:])
-        del _replaced[before:]
+        found += _noting.pop()
 
 
 def destination(path: Path | str) -> Path:

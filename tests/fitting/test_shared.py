@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchbrdf.fitting import Gathered, fit, work
-from torchbrdf.fitting.noise import NoiseRecords, noise_records
+from torchbrdf.fitting.noise import NoiseRecords
 from torchbrdf.fitting.shared import Objectives, Shared
 from torchbrdf.lobes import make_model
 from torchbrdf.losses import CompressedLoss, CosineRMSLoss, CubeRootLoss, LogLoss, Problem, RMSLoss
@@ -72,5 +72,5 @@ def test_noise_is_told_once_and_as_for_each_loss_alone(measured, monkeypatch):
     records, losses = NoiseRecords(given), [RMSLoss(), CosineRMSLoss(), CubeRootLoss()]
     together = [records.of(loss) for loss in losses]
     assert len(calls) == 1
-    assert together == [noise_records(given, loss) for loss in losses]
+    assert together == [NoiseRecords(given).of(loss) for loss in losses]
     assert together[0][0]["error"] > 0

@@ -10,7 +10,7 @@ from helpers.measured_files import synthetic_bsdf, tensor_file
 
 from torchbrdf import fit
 from torchbrdf.cli import main
-from torchbrdf.fitting.noise import noise_records
+from torchbrdf.fitting.noise import NoiseRecords
 from torchbrdf.fitting.result import fits_csv
 from torchbrdf.lobes import FitRecord, from_parameters, make_model, read_fits
 from torchbrdf.losses import RMSLoss, make_loss
@@ -112,8 +112,8 @@ def test_pictures_have_no_noise_of_samples():
     from torchbrdf.render import RenderedLoss, Scene, sphere
 
     picture = RenderedLoss(Scene(sphere(2), size=8, nodes=8, light_samples=4))
-    assert noise_records(noisy(goniometer(), 0.05), picture) == [{}]
-    assert noise_records(noisy(goniometer(), 0.05), RMSLoss())[0]["error"] > 0
+    assert NoiseRecords(noisy(goniometer(), 0.05)).of(picture) == [{}]
+    assert NoiseRecords(noisy(goniometer(), 0.05)).of(RMSLoss())[0]["error"] > 0
 
 
 def test_noise_of_many_is_that_of_each_alone(monkeypatch):
@@ -132,8 +132,8 @@ def test_noise_of_many_is_that_of_each_alone(monkeypatch):
         for k, one in enumerate(found):
             alone = noise_of(many.batch([k]))
             assert (one.share, one.by, one.samples) == (alone.share, alone.by, alone.samples)
-        records = noise_records(many, RMSLoss())
+        records = NoiseRecords(many).of(RMSLoss())
         for k, record in enumerate(records):
-            (alone,) = noise_records(many.batch([k]), RMSLoss())
+            (alone,) = NoiseRecords(many.batch([k])).of(RMSLoss())
             assert record == {**alone, "error": pytest.approx(alone["error"], rel=1e-9)}
             assert record["share"] == found[k].share

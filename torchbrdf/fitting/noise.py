@@ -18,33 +18,17 @@ _PAIRS = 20_000
 _TOGETHER, _KEPT = 1 << 18, 12
 
 
-@torch.no_grad()
-def noise_records(measured: Measured, loss: Loss, seed: int = 0) -> list[dict[str, Any]]:
-    """Of each material the noise of its samples, and the error that it alone makes, as records of fits say it.
-
-    Args:
-        measured: M materials.
-        loss: the error of what; losses of pictures have none.
-        seed: of the noise that is drawn.
-
-    Returns:
-        For each material `share` (of the value, 1 sigma), what told it (`by`), how many samples, and `error`: that of
-        the measurement beside itself with as much noise again; or nothing, where samples do not tell their noise.
-
-    Example:
-        >>> from torchbrdf.losses import RMSLoss
-        >>> from torchbrdf.measured import load, standins
-        >>> noise_records(load(standins()).batch([6]), RMSLoss())
-        [{}]
-    """
-    return NoiseRecords(measured).of(loss, seed)
-
-
 class NoiseRecords:
     """The noise of M materials, worked out once for all losses.
 
     Args:
         measured: the materials.
+
+    Example:
+        >>> from torchbrdf.losses import RMSLoss
+        >>> from torchbrdf.measured import load, standins
+        >>> NoiseRecords(load(standins()).batch([6])).of(RMSLoss())
+        [{}]
     """
 
     def __init__(self, measured: Measured) -> None:
@@ -53,7 +37,16 @@ class NoiseRecords:
 
     @torch.no_grad()
     def of(self, loss: Loss, seed: int = 0) -> list[dict[str, Any]]:
-        """`noise_records` of a loss."""
+        """What samples tell of their noise, and the error that it alone makes, as records of fits say it.
+
+        Args:
+            loss: the error of what; losses of pictures have none.
+            seed: of the noise that is drawn.
+
+        Returns:
+            For each material `share` (of the value, 1 sigma), what told it (`by`), how many samples, and `error`: that
+            of the measurement beside itself with as much noise again; or nothing, where samples do not tell it.
+        """
         found: list[dict[str, Any]] = [{} for _ in self.measured.names]
         if loss.needs_rgb:
             return found
